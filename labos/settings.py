@@ -184,14 +184,17 @@ class Settings(msgspec.Struct, frozen=True):
     def pki(self) -> Path:
         """The lab's own certificate authority: the configured folder, else LABOS_PKI, else ``pki`` in the
         home."""
-        named = self.authority or os.environ.get(PKI)
-        return Path(named).absolute() if named else self.home / "pki"
+        return self.authority.absolute() if self.authority else self._find_file(PKI, "pki")
+
+    def _find_file(self, variable: str, name: str) -> Path:
+        """The path in a variable of the environment, else ``name`` in the home."""
+        named = os.environ.get(variable)
+        return Path(named).absolute() if named else self.home / name
 
     @property
     def contacts(self) -> Path:
         """The contacts file: LABOS_CONTACTS, else ``contacts.yaml`` in the home."""
-        named = os.environ.get(CONTACTS)
-        return Path(named).absolute() if named else self.home / "contacts.yaml"
+        return self._find_file(CONTACTS, "contacts.yaml")
 
     @property
     def notifications(self) -> Path:
@@ -202,8 +205,7 @@ class Settings(msgspec.Struct, frozen=True):
     def node_settings(self) -> Path:
         """Settings of nodes on this computer besides the workcell: LABOS_NODE_SETTINGS, else ``nodes.yaml``
         in the home."""
-        named = os.environ.get(NODE_SETTINGS)
-        return Path(named).absolute() if named else self.home / NODE_SETTINGS_FILE
+        return self._find_file(NODE_SETTINGS, NODE_SETTINGS_FILE)
 
     @property
     def home_key(self) -> Path:
@@ -219,8 +221,7 @@ class Settings(msgspec.Struct, frozen=True):
     @property
     def providers(self) -> Path:
         """The file with the identity provider for signing in: LABOS_OIDC, else ``oidc.yaml`` in the home."""
-        named = os.environ.get(OIDC)
-        return Path(named).absolute() if named else self.home / "oidc.yaml"
+        return self._find_file(OIDC, "oidc.yaml")
 
     @property
     def journals(self) -> Path:

@@ -40,6 +40,11 @@ class ChannelReading(msgspec.Struct, frozen=True):
     label: str = ""
     severity: int = 0
 
+    @property
+    def plain(self) -> Any:
+        """The label, or the value if it has none."""
+        return self.label or self.value
+
 
 class Channels(Protocol):
     """One protocol's process variables, by their full names."""
@@ -57,6 +62,7 @@ class Channels(Protocol):
 
     def why_silent(self) -> str:
         """The reason why there is no answer, as a sentence, if the server has reported it."""
+        return ""
 
     async def close(self) -> None:
         """Disconnect from all names."""

@@ -6,7 +6,14 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import ChannelReading, NoResponse, number_of, report_missing_package, text_of
+from labos.adapter._channels import (
+    ChannelReading,
+    Channels,
+    NoResponse,
+    number_of,
+    report_missing_package,
+    text_of,
+)
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
@@ -19,7 +26,7 @@ REFUSED = (PUT_FAILED, NO_ACCESS)
 """``ECA_PUTFAIL`` and ``ECA_NOWTACCESS`` of caerr.h: the IOC has refused."""
 
 
-class CaChannels:
+class CaChannels(Channels):
     """``address`` has the addresses of the IOCs, ``host`` or ``host:port`` separated by blanks; without it,
     EPICS' own environment variables are used. They are read once in a process. Arrays of characters are
     texts, except those in ``numbers``."""
@@ -96,9 +103,6 @@ class CaChannels:
         if is_text and hasattr(value, "tobytes") and (text := text_of(value.tobytes())) is not None:
             return ChannelReading(text, severity=int(getattr(value, "severity", 0)))
         return _read_value(value)
-
-    def why_silent(self) -> str:
-        return ""
 
     async def close(self) -> None:
         for watched in self._watched:

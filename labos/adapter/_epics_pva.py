@@ -9,13 +9,20 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import ChannelReading, NoResponse, number_of, report_missing_package, text_of
+from labos.adapter._channels import (
+    ChannelReading,
+    Channels,
+    NoResponse,
+    number_of,
+    report_missing_package,
+    text_of,
+)
 from labos.errors import DeviceError
 
 READ_S = 5.0
 
 
-class PvaChannels:
+class PvaChannels(Channels):
     """``address`` has the addresses of the servers, ``host`` or ``host:port`` separated by blanks; without
     it, EPICS' own environment variables are used. Arrays of bytes are texts, except those in ``numbers``."""
 
@@ -83,9 +90,6 @@ class PvaChannels:
             if text is not None:
                 return ChannelReading(text, severity=_read_severity(structure))
         return _read_value(structure)
-
-    def why_silent(self) -> str:
-        return ""
 
     async def close(self) -> None:
         for watched in self._watched:

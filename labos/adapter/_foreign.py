@@ -16,6 +16,8 @@ from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
 from labos.spec.about import add_reset
+from labos.spec.flaws import find_first_flaw
+from labos.spec.parts import Part
 
 SENT = "sent"
 """The handle of a start in a protocol without ids."""
@@ -29,6 +31,7 @@ LATE_S = 5.0
 NEVER_SENT = "The adapter was restarted before it passed the action on."
 
 T = TypeVar("T")
+M = TypeVar("M", bound=Part)
 
 
 class ForeignNode(Node):
@@ -74,6 +77,20 @@ class ForeignNode(Node):
         """The foreign node's description of itself, without effects, which it does not know. Only for
         protocols that have a description."""
         raise NotImplementedError
+
+    # -- the mapping -------------------------------------------------------------------------
+
+    def read_table(self, key: str, model: type[M], written: Any) -> M:
+        """A mapping below ``config`` in the form of its model. Raises DeviceError (``none``)."""
+        if flaw := find_first_flaw(model, written):
+            raise DeviceError(f"In `{key}:`, {flaw}.", effects="none")
+        return model.model_validate(written)
+
+    def check_started(self, key: str, find_start: Callable[[str], object]) -> None:
+        """Check that a mapping defines how each action is started. Raises DeviceError (``none``)."""
+        for spec in self.described.actions:
+            if not spec.recovers and find_start(spec.name) is None:
+                raise make_not_started_error(key, spec)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -259,6 +276,11 @@ class ForeignNode(Node):
             for task in tasks:
                 task.cancel()
             del self._settled[action]
+
+
+def make_not_started_error(key: str, spec: ActionSpec) -> DeviceError:
+    """The mapping ``key`` lacks an action."""
+    return DeviceError(f"`{key}:` does not define how {spec.name!r} is started.", effects="none")
 
 
 class Silence:

@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import ChannelReading, NoResponse, report_missing_package
+from labos.adapter._channels import ChannelReading, Channels, NoResponse, report_missing_package
 from labos.adapter._opcua_security import OpcuaAccess
 from labos.adapter._opcua_types import OpcuaKind, Types, make_plain
 from labos.errors import DeviceError
@@ -36,7 +36,7 @@ UNTOUCHED = (
 """Statuses of requests that a server has not carried out."""
 
 
-class UaChannels:
+class UaChannels(Channels):
     """``url`` is the URL of the server. ``namespace`` is the URI for names without one: ``Shaker.State`` is a
     string identifier there, while ``ns=2;s=…`` and ``i=…`` are complete node ids."""
 

@@ -11,7 +11,7 @@ import functools
 from pathlib import Path
 from typing import Any
 
-from labos.errors import DeviceError
+from labos.adapter._channels import report_missing_package
 
 SCHEMA = Path(__file__).with_name("tcp_node.binpb")
 LARGEST = 64 * 1024 * 1024
@@ -24,11 +24,7 @@ def make_schema() -> dict[str, Any]:
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     except ImportError as error:
-        raise DeviceError(
-            "The Python package 'protobuf' is missing.",
-            effects="none",
-            remedy="Install it with: pip install 'labos-sdl[protobuf]'",
-        ) from error
+        raise report_missing_package(error, "protobuf") from error
     files = descriptor_pb2.FileDescriptorSet.FromString(SCHEMA.read_bytes())
     pool = descriptor_pool.DescriptorPool()
     for file in files.file:

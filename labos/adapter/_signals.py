@@ -23,16 +23,14 @@ from labos.adapter._channels import (
     Channels,
     NoResponse,
     is_fulfilled,
-    leaves_open,
     report_missing_package,
 )
-from labos.adapter._foreign import ForeignNode
+from labos.adapter._condition_node import ConditionNode
 from labos.adapter._placeholders import fill
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
-from labos.spec.flaws import find_first_flaw
 from labos.spec.signals import Actuation, Condition, Protocol, Put, SignalMapping
 
 CONNECT_S = 5.0
@@ -51,10 +49,11 @@ class Started(msgspec.Struct, omit_defaults=True):
     done: list[dict[str, Any]] = []
 
 
-class SignalNode(ForeignNode):
+class SignalNode(ConditionNode):
     """Base of the adapters; ``table`` is the key of ``config`` with the mapping."""
 
     table: ClassVar[str]
+    mapping: SignalMapping
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -64,14 +63,8 @@ class SignalNode(ForeignNode):
         self._losses = 0
 
     async def connect(self) -> None:
-        if flaw := find_first_flaw(SignalMapping, self.read_mapping()):
-            raise DeviceError(f"In `{self.table}:`, {flaw}.", effects="none")
-        self.mapping = SignalMapping.model_validate(self.read_mapping())
-        for spec in self.described.actions:
-            if not spec.recovers and spec.name not in self.mapping.actions:
-                raise DeviceError(
-                    f"`{self.table}:` does not define how {spec.name!r} is started.", effects="none"
-                )
+        self.mapping = self.read_table(self.table, SignalMapping, self.read_mapping())
+        self.check_started(self.table, self.mapping.actions.get)
         await self.close()
         for name in sorted(_list_names(self.mapping)):
             protocol, whole = self.mapping.find(name)
@@ -126,17 +119,8 @@ class SignalNode(ForeignNode):
 
     # -- how it is ---------------------------------------------------------------------------
 
-    @property
-    def reports_busy(self) -> bool:
-        return bool(self.mapping.state.busy)
-
     async def is_idle(self) -> bool:
-        if self._list_silent():
-            return False
-        if not self.reports_busy:
-            return await super().is_idle()
-        seen = [(condition, await self._get(condition.pv)) for condition in self.mapping.state.busy]
-        return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)
+        return not self._list_silent() and await super().is_idle()
 
     async def trouble(self) -> str:
         if absent := self._list_silent():
@@ -151,7 +135,7 @@ class SignalNode(ForeignNode):
         for name in state.alarms:
             reading = self._find_last(name)
             if reading is not None and reading.severity >= limit:
-                value = reading.label or reading.value
+                value = reading.plain
                 return f"{name} has an alarm ({SEVERITIES[min(reading.severity, 3)]}, value {value})."
         for condition in state.error:
             reading = self._find_last(condition.pv)
@@ -161,25 +145,6 @@ class SignalNode(ForeignNode):
                 return f"The device is in error: {words}. Reset the module."
         return ""
 
-    async def observe(self) -> dict[str, Any]:
-        self.look()
-        seen: dict[str, Any] = {}
-        for variable, name in self.mapping.observe.items():
-            reading = await self._get(name)
-            seen[variable] = reading.label or reading.value
-        if self.mapping.labware:
-            places = self.mapping.labware.items()
-            readings = [(at, condition, await self._get(condition.pv)) for at, condition in places]
-            seen["labware"] = {
-                at: is_fulfilled(condition, now)
-                for at, condition, now in readings
-                if not leaves_open(condition, now)
-            }
-        return seen
-
-    async def resources(self) -> dict[str, float]:
-        return {what: float((await self._get(name)).value) for what, name in self.mapping.resources.items()}
-
     def _is_working(self) -> bool:
         """Whether the device has last reported that it is busy."""
         readings = [(condition, self._find_last(condition.pv)) for condition in self.mapping.state.busy]
@@ -188,13 +153,9 @@ class SignalNode(ForeignNode):
     def _find_last(self, name: str) -> ChannelReading | None:
         return self._now.get(self.mapping.find(name)[1])
 
-    async def _get(self, name: str) -> ChannelReading:
-        """The present value, not the last reported one. Raises DeviceError."""
+    async def read(self, name: str) -> ChannelReading:
         protocol, whole = self.mapping.find(name)
         return await self._find_client(protocol).get(whole, CONNECT_S)
-
-    async def _is_fulfilled(self, condition: Condition) -> bool:
-        return is_fulfilled(condition, await self._get(condition.pv))
 
     # -- recovery ----------------------------------------------------------------------------
 
@@ -323,8 +284,8 @@ class SignalNode(ForeignNode):
     async def _has_ended(self, spec: ActionSpec, actuation: Actuation, ends_by: list[Condition]) -> bool:
         """Raises DeviceError if it failed."""
         try:
-            failed = [condition.pv for condition in actuation.failed if await self._is_fulfilled(condition)]
-            done = all([await self._is_fulfilled(condition) for condition in ends_by])
+            failed = [condition.pv for condition in actuation.failed if await self.is_fulfilled(condition)]
+            done = all([await self.is_fulfilled(condition) for condition in ends_by])
         except DeviceError:
             return False  # the connection is lost; it is checked before the next time
         if failed:
@@ -344,7 +305,7 @@ class SignalNode(ForeignNode):
         idle, until = 0, loop.time() + self._find_limit_s(spec, actuation)
         while True:
             try:
-                if all([await self._is_fulfilled(condition) for condition in ends_by]):
+                if all([await self.is_fulfilled(condition) for condition in ends_by]):
                     return
                 idle = idle + 1 if await self.is_idle() else 0
             except DeviceError:
@@ -357,27 +318,25 @@ class SignalNode(ForeignNode):
         return actuation.timeout or self.limit_s(spec)
 
     async def _read_boot(self) -> Any:
-        return (await self._get(self.mapping.boot)).value if self.mapping.boot else None
+        return (await self.read(self.mapping.boot)).value if self.mapping.boot else None
 
     async def _read_result(self, actuation: Actuation) -> Any:
         """Read the result at the end. An alarm then is a failure, because it is not known how far the action
         got."""
         try:
             if isinstance(actuation.result, dict):
-                result: Any = {
-                    key: _find_plain_value(await self._get(name)) for key, name in actuation.result.items()
-                }
+                result: Any = {key: (await self.read(name)).plain for key, name in actuation.result.items()}
             else:
-                result = _find_plain_value(await self._get(actuation.result)) if actuation.result else None
+                result = (await self.read(actuation.result)).plain if actuation.result else None
             if actuation.files:
                 files = {
-                    key: encode_array(key, await self._get(name)) for key, name in actuation.files.items()
+                    key: encode_array(key, await self.read(name)) for key, name in actuation.files.items()
                 }
                 result = {**(result or {}), **files}
             # The last report of its state may be older than the end.
             state = self.mapping.state
             for name in {*state.alarms, *(error.pv for error in state.error), state.why} - {""}:
-                self._note_reading(self.mapping.find(name)[1], await self._get(name))
+                self._note_reading(self.mapping.find(name)[1], await self.read(name))
         except DeviceError as unread:
             words = f"It was done, but its result cannot be read: {unread}"
             raise DeviceError(words, effects="all") from unread
@@ -413,10 +372,6 @@ def _list_names(mapping: SignalMapping) -> set[str]:
         names |= {condition.pv for condition in (*action.done, *action.failed)}
         names |= set(action.result.values()) if isinstance(action.result, dict) else {action.result}
     return {name for name in (*names, mapping.boot, state.why) if name}
-
-
-def _find_plain_value(reading: ChannelReading) -> Any:
-    return reading.label or reading.value
 
 
 def _fill_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:

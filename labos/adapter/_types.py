@@ -1,9 +1,12 @@
-"""Converts foreign names of types to those of LabOS."""
+"""Converts foreign descriptions of actions and arguments, and names of types, to those of LabOS."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+from labos.core.model import ActionSpec, Arg
 
 _TYPES = {
     "str": "str",
@@ -39,3 +42,25 @@ def type_of(written: Any) -> str:
         return "any"
     bare = parts[0].partition("[")[0].rpartition(".")[2].lower()
     return _TYPES.get(bare, "any")
+
+
+def make_arg(name: Any, written: Mapping[str, Any], kind: str) -> Arg:
+    """An argument of a WEI or MADSci node."""
+    return Arg(
+        name=str(name),
+        type=kind,
+        required=bool(written.get("required", True)),
+        default=written.get("default"),
+        description=str(written.get("description") or ""),
+    )
+
+
+def make_action(name: Any, written: Mapping[str, Any], args: Iterable[Arg]) -> ActionSpec:
+    """An action of a WEI or MADSci node, without effects."""
+    return ActionSpec(
+        name=str(name),
+        description=str(written.get("description") or "").strip().partition("\n")[0],
+        args=tuple(args),
+        exclusive=bool(written.get("blocking", True)),
+        result="any" if written.get("results") else "",
+    )

@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from labos.adapter._foreign import Silence, read_file
-from labos.adapter._http import HttpClient, NoResponse, find_address, read_authorization, read_json, refuse
+from labos.adapter._http import NoResponse, read_json, refuse
 from labos.adapter._http_node import HttpNode
-from labos.adapter._types import type_of
-from labos.core.model import ActionSpec, Arg, Description
+from labos.adapter._types import make_action, make_arg, type_of
+from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup
@@ -41,14 +41,12 @@ FORGOTTEN = "the foreign node no longer knows the action: it was restarted, and 
 class MadsciRestNode(HttpNode):
     """Config: ``node_url``; ``node_auth`` is a file with the value of the Authorization header."""
 
+    addresses = ("node_url", "rest_node_address")
+    authorization = "node_auth"
+
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
         self._checked = False
-
-    async def connect(self) -> None:
-        config = self.setup.config
-        where = find_address(config, "node_url", "rest_node_address")
-        self._http = HttpClient(where, read_authorization(config, "node_auth"), patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -304,30 +302,11 @@ def describe(info: dict[str, Any]) -> Description:
 
 def _action(name: str, action: dict[str, Any]) -> ActionSpec:
     args = [
-        *(
-            _make_arg(key, arg, type_of(arg.get("argument_type")))
-            for key, arg in (action.get("args") or {}).items()
-        ),
-        *(_make_arg(key, arg, "station") for key, arg in (action.get("locations") or {}).items()),
-        *(_make_arg(key, arg, "file") for key, arg in (action.get("files") or {}).items()),
+        make_arg(key, arg, kind or type_of(arg.get("argument_type")))
+        for table, kind in (("args", ""), ("locations", "station"), ("files", "file"))
+        for key, arg in (action.get(table) or {}).items()
     ]
-    return ActionSpec(
-        name=name,
-        description=str(action.get("description") or "").strip().partition("\n")[0],
-        args=tuple(args),
-        exclusive=bool(action.get("blocking", True)),
-        result="any" if action.get("results") else "",
-    )
-
-
-def _make_arg(name: str, arg: dict[str, Any], kind: str) -> Arg:
-    return Arg(
-        name=name,
-        type=kind,
-        required=bool(arg.get("required", True)),
-        default=arg.get("default"),
-        description=str(arg.get("description") or ""),
-    )
+    return make_action(name, action, args)
 
 
 def _describe_errors(answer: dict[str, Any]) -> str:

@@ -8,24 +8,16 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 from typing import Any, Literal, NamedTuple
 from urllib.parse import quote
 
 import httpx
 import structlog
 
-from labos.adapter._foreign import SENT, Silence
-from labos.adapter._http import (
-    HttpClient,
-    NoResponse,
-    find_address,
-    read_authorization,
-    read_json,
-    refuse,
-    refuse_at_end,
-)
+from labos.adapter._foreign import SENT, Silence, make_not_started_error
+from labos.adapter._http import NoResponse, read_json, refuse, refuse_at_end
 from labos.adapter._http_node import HttpNode
+from labos.adapter._placeholders import fill
 from labos.adapter.wei import find_levels
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
@@ -36,7 +28,6 @@ JOB_START_S = 30.0
 """How long a device may take to confirm that it has accepted a job."""
 
 _log = structlog.get_logger(__name__)
-_PLACE = re.compile(r"\{(\w+)\}")
 
 
 class RestNode(HttpNode):
@@ -48,12 +39,8 @@ class RestNode(HttpNode):
         if flaw := find_flaw(config.get("rest") or {}):
             raise DeviceError(f"In `rest:`, {flaw}.", effects="none")
         self.mapping = RestMapping.model_validate(config["rest"])
-        for spec in self.described.actions:
-            if not spec.recovers and self.mapping.request(spec.name) is None:
-                raise DeviceError(f"`rest:` does not define how {spec.name!r} is started.", effects="none")
-        where = find_address(config, "rest_node_address", "node_url")
-        auth = read_authorization(config, "rest_node_auth")
-        self._http = HttpClient(where, auth, patience_s=self.patience_s)
+        self.check_started("rest", self.mapping.request)
+        await super().connect()
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -120,10 +107,10 @@ class RestNode(HttpNode):
     ) -> httpx.Response:
         options: dict[str, Any] = {}
         if request.params:
-            texts = fill_request(request.params, values)
+            texts = fill(request.params, values, "rest", leave_out=True)
             options["params"] = {key: _as_text(value) for key, value in texts.items()}
         if request.json_ is not None:
-            options["json"] = fill_request(request.json_, values)
+            options["json"] = fill(request.json_, values, "rest", leave_out=True)
         path = fill_path(request.path, values)
         return await self.http.send(request.method, path, read_s=read_s, **options)
 
@@ -132,11 +119,8 @@ class RestNode(HttpNode):
     async def begin(self, spec: ActionSpec, name: str, args: dict[str, Any]) -> Any:
         request = self.mapping.request(spec.name)
         if request is None:
-            raise DeviceError(f"`rest:` does not define how {spec.name!r} is started.", effects="none")
-        args = {
-            key: self.place(spec, str(value)) if self.is_station(spec, key) else value
-            for key, value in args.items()
-        }
+            raise make_not_started_error("rest", spec)
+        args = self.name_places(spec, args)
         job, action = self.mapping.job, current_action.get()
         named_by_us = job is not None and not job.id
         await self.note_handle(action if named_by_us else SENT)
@@ -272,34 +256,8 @@ def find_field(data: Any, path: str) -> Any:
 
 def fill_path(path: str, values: dict[str, Any]) -> str:
     """A path with its placeholders filled in."""
-    return str(fill_request(path, {key: quote(str(value), safe="") for key, value in values.items()}))
+    return str(fill(path, {key: quote(str(value), safe="") for key, value in values.items()}, "rest"))
 
 
 def _as_text(value: Any) -> Any:
     return value if isinstance(value, str | int | float) else json.dumps(value)
-
-
-def fill_request(written: Any, values: dict[str, Any]) -> Any:
-    """A request's table with its placeholders filled in. Raises DeviceError (``none``)."""
-    if isinstance(written, dict):
-        # An argument that was not given is left out.
-        given = {k: v for k, v in written.items() if not _is_absent(v, values)}
-        return {key: fill_request(value, values) for key, value in given.items()}
-    if isinstance(written, list):
-        return [fill_request(value, values) for value in written]
-    if not isinstance(written, str):
-        return written
-    if whole := _PLACE.fullmatch(written):
-        return _find_value(whole[1], values)
-    return _PLACE.sub(lambda found: str(_find_value(found[1], values)), written)
-
-
-def _is_absent(written: Any, values: dict[str, Any]) -> bool:
-    whole = _PLACE.fullmatch(written) if isinstance(written, str) else None
-    return whole is not None and whole[1] not in values
-
-
-def _find_value(name: str, values: dict[str, Any]) -> Any:
-    if name not in values:
-        raise DeviceError(f"`rest:` needs the argument {name!r}, which was not given.", effects="none")
-    return values[name]

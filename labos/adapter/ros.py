@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._foreign import LATE_S, SENT, ForeignNode
+from labos.adapter._foreign import LATE_S, SENT, ForeignNode, make_not_started_error
 from labos.adapter._http import NoResponse
 from labos.adapter._placeholders import fill
 from labos.adapter._png import encode_png
@@ -29,7 +29,6 @@ from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup, current_action
-from labos.spec.flaws import find_first_flaw
 from labos.spec.ros import Call, RosMapping, make_camera_mapping, make_wei_mapping
 
 WAIT_S = 3.0
@@ -72,13 +71,8 @@ class RosNode(ForeignNode):
         return self._bridge
 
     async def connect(self) -> None:
-        written = self.read_mapping()
-        if flaw := find_first_flaw(RosMapping, written):
-            raise DeviceError(f"In `ros:`, {flaw}.", effects="none")
-        self.mapping = RosMapping.model_validate(written)
-        for spec in self.described.actions:
-            if not spec.recovers and self.mapping.call(spec.name) is None:
-                raise DeviceError(f"`ros:` does not define how {spec.name!r} is started.", effects="none")
+        self.mapping = self.read_table("ros", RosMapping, self.read_mapping())
+        self.check_started("ros", self.mapping.call)
         await self._start_bridge()
 
     async def _start_bridge(self) -> None:
@@ -217,7 +211,7 @@ class RosNode(ForeignNode):
     def _call(self, spec: ActionSpec) -> Call:
         call = self.mapping.call(spec.name)
         if call is None:
-            raise DeviceError(f"`ros:` does not define how {spec.name!r} is started.", effects="none")
+            raise make_not_started_error("ros", spec)
         return call
 
     async def _answer(self, call: Call, calling: Awaitable[Any], idle_limit_s: float, began: float) -> Any:

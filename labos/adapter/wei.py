@@ -19,18 +19,10 @@ import httpx
 
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT, Silence, read_file
-from labos.adapter._http import (
-    LARGEST_ANSWER,
-    HttpClient,
-    NoResponse,
-    find_address,
-    read_authorization,
-    read_json,
-    refuse_at_end,
-)
+from labos.adapter._http import LARGEST_ANSWER, NoResponse, read_json, refuse_at_end
 from labos.adapter._http_node import HttpNode
-from labos.adapter._types import type_of
-from labos.core.model import ActionSpec, Arg, Description
+from labos.adapter._types import make_action, make_arg, type_of
+from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
 from labos.node.node import Setup
@@ -52,12 +44,6 @@ class WeiRestNode(HttpNode):
         super().__init__(setup)
         self._checked = False
         self._admin: tuple[str, ...] = ()
-
-    async def connect(self) -> None:
-        config = self.setup.config
-        where = find_address(config, "rest_node_address", "node_url")
-        auth = read_authorization(config, "rest_node_auth")
-        self._http = HttpClient(where, auth, patience_s=self.patience_s)
 
     # -- how it is ---------------------------------------------------------------------------
 
@@ -258,27 +244,9 @@ def describe(about: dict[str, Any], driver: str = "wei_rest_node") -> Descriptio
 
 
 def _action(action: dict[str, Any]) -> ActionSpec:
-    args = [
-        Arg(
-            name=str(arg["name"]),
-            type=type_of(arg.get("type", "any")),
-            required=bool(arg.get("required", True)),
-            default=arg.get("default"),
-            description=str(arg.get("description") or ""),
-        )
-        for arg in action.get("args") or ()
-    ]
-    for file in action.get("files") or ():
-        described = str(file.get("description") or "")
-        required = bool(file.get("required", True))
-        args.append(Arg(name=str(file["name"]), type="file", required=required, description=described))
-    return ActionSpec(
-        name=str(action["name"]),
-        description=str(action.get("description") or "").strip().partition("\n")[0],
-        args=tuple(args),
-        exclusive=bool(action.get("blocking", True)),
-        result="any" if action.get("results") else "",
-    )
+    args = [make_arg(arg["name"], arg, type_of(arg.get("type", "any"))) for arg in action.get("args") or ()]
+    args += [make_arg(file["name"], {**file, "default": None}, "file") for file in action.get("files") or ()]
+    return make_action(action["name"], action, args)
 
 
 def read_state(state: Any) -> tuple[set[str], str]:

@@ -9,6 +9,7 @@ from labos.audit._bench_tables import LOT_USES, MOVES
 from labos.audit._rows import Row, RowChanges
 from labos.core import labware as b
 from labos.core.envelope import Envelope
+from labos.core.ids import module_of
 
 
 def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
@@ -29,7 +30,7 @@ def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: floa
         about = (
             event.lot,
             "labware",
-            event.stack.rpartition(".")[0],
+            module_of(event.stack),
             event.type,
             event.labware,
             event.run,
@@ -100,7 +101,7 @@ def on_barcode_read(rows: RowChanges, event: b.BarcodeRead, head: Envelope, at: 
 
 def on_loaded(rows: RowChanges, event: b.StationLoaded, head: Envelope, at: float) -> None:
     if event.lot:
-        module = event.station.rpartition(".")[0]
+        module = module_of(event.station)
         rows.add(LOT_USES, head.position, 0, at, event.lot, "loaded", module, event.type, "", "", "")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import assert_never
+
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
 from labos.audit._work_tables import CAMPAIGNS, RUNS
 from labos.core import campaigns as c
@@ -93,3 +95,5 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
             row["failed"] += 1
         case r.RunCancelled():
             row["cancelled"] += 1
+        case _:
+            assert_never(event)

@@ -10,6 +10,7 @@ import msgspec
 from labos.audit._crate_parts import Crate, make_link, make_local_id, safe_name, with_offset
 from labos.audit.query import ReadConnection
 from labos.core.canonical import encode_canonical
+from labos.core.ids import local
 
 STATUS = {
     "completed": "Completed",
@@ -94,7 +95,7 @@ def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> 
         for name, value in json_of(found.args).items()
     ]
     status = STATUS.get(found.status, "Active")
-    module = found.module.rpartition("/")[2]
+    module = local(found.module)
     crate.add(
         "CreateAction",
         id_,
@@ -135,8 +136,8 @@ def _add_step(crate: Crate, doer: Doer, found: _Action, action: str, tool: str) 
 
 def _add_driver(crate: Crate, found: _Action) -> str:
     """Add the driver as the tool, and its module, with the description of that time."""
-    local = found.module.rpartition("/")[2]
-    words = f"The module {local} of the lab."
+    short = local(found.module)
+    words = f"The module {short} of the lab."
     if found.about:
         words += f" The SHA-256 of its node's description (actions, arguments, units) was {found.about}."
     module = crate.add(
@@ -150,7 +151,7 @@ def _add_driver(crate: Crate, found: _Action) -> str:
     driver = crate.add(
         "SoftwareApplication",
         make_local_id("driver", f"{found.module} {name} {version}{simulated}"),
-        name=f"Driver {name} of {local}{simulated}",
+        name=f"Driver {name} of {short}{simulated}",
         softwareVersion=version,
     )
     crate.extend(driver, "about", module)

@@ -18,6 +18,7 @@ from labos.core import actions as a
 from labos.core import experiments as x
 from labos.core import runs as r
 from labos.core.envelope import Envelope
+from labos.core.ids import workcell_of
 from labos.core.labware import SamplesRegistered
 from labos.core.wells import parse_well
 from labos.services.files import iterate_files
@@ -131,7 +132,7 @@ def on_result(
     run = rows.get(RUNS, event.run) if event.run else None
     about: dict[str, Any] = {
         "user_id": run["user_id"] if run is not None else "",
-        "workcell": event.module.partition("/")[0],
+        "workcell": workcell_of(event.module),
         "workflow": run["workflow"] if run is not None else "",
         "experiment": run["experiment"] if run is not None else "",
         "run": event.run,
@@ -205,7 +206,7 @@ def on_samples_registered(
             *(f"{event.labware}/{well}", at),
             title=sample,
             user_id=head.actor,
-            workcell=labware["station"].partition("/")[0],
+            workcell=workcell_of(labware["station"]),
             workflow=run["workflow"] if run is not None else "",
             experiment=run["experiment"] if run is not None else "",
             run=event.run,

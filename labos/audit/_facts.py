@@ -9,41 +9,23 @@ import msgspec
 from labos.audit._calibrations import IN_FORCE
 from labos.audit.graph import Entity, well_of
 from labos.audit.query import ReadConnection
+from labos.core.ids import local
 
-_ACTION = (
-    "SELECT run, step, key, module, name, args, driver, driver_version, about, simulated, requested_at, "
-    "ended_at, status, effects, error, result, requested_position, ended_position "
-    "FROM actions WHERE action = ?"
-)
-_ACTION_NAMES = (
-    *("run", "step", "key", "module", "name", "args", "driver", "driver_version", "about", "simulated"),
-    *("requested_at", "ended_at", "status", "effects", "error", "result"),
-    *("requested_position", "ended_position"),
-)
-_RUN_NAMES = (
-    *("workflow", "workcell", "user_id", "experiment", "status", "plan", "pins", "payload"),
-    *("submitted_at", "ended_at", "submitted_position", "ended_position"),
-)
-_RUN = f"SELECT {', '.join(_RUN_NAMES)} FROM runs WHERE run = ?"
-_LABWARE_NAMES = ("type", "lot", "barcode", "placed_at", "placed_position")
-_LABWARE = f"SELECT {', '.join(_LABWARE_NAMES)} FROM labware WHERE labware = ?"
-_EXPERIMENT_NAMES = (
-    "name",
-    "user_id",
-    "status",
-    "started_at",
-    "ended_at",
-    "started_position",
-    "ended_position",
-)
-_EXPERIMENT = f"SELECT {', '.join(_EXPERIMENT_NAMES)} FROM experiments WHERE experiment = ?"
+_COLUMNS = {
+    "action": "run step key module name args driver driver_version about simulated requested_at ended_at "
+    "status effects error result requested_position ended_position",
+    "run": "workflow workcell user_id experiment status plan pins payload submitted_at ended_at "
+    "submitted_position ended_position",
+    "labware": "type lot barcode placed_at placed_position",
+    "experiment": "name user_id status started_at ended_at started_position ended_position",
+    "calibration": "module what certificate recorded_by at until file",
+}
+"""The facts of a thing: columns of the view of its kind."""
+_VIEWS = {"labware": "labware"}
 _FILE_NAMES = ("file", "bytes", "kind")
 _FILE = (
     f"SELECT {', '.join(_FILE_NAMES)} FROM files WHERE digest = ? AND position <= ? ORDER BY position LIMIT 1"
 )
-
-_CALIBRATION_NAMES = ("module", "what", "certificate", "recorded_by", "at", "until", "file")
-_CALIBRATION = f"SELECT {', '.join(_CALIBRATION_NAMES)} FROM calibrations WHERE calibration = ?"
 _RELIED_ON = {
     column: "SELECT DISTINCT c.calibration, c.position FROM actions a JOIN calibrations c "
     f"ON {IN_FORCE} WHERE a.{column} = ? AND a.requested_position <= ? ORDER BY c.position"
@@ -60,21 +42,17 @@ def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]
     action."""
     match entity.kind:
         case "action" | "result":
-            facts = _make_facts(_ACTION_NAMES, asker.fetch(_ACTION, entity.name))
+            facts = _read_facts(asker, "action", entity.name)
             facts["calibrations"] = _list_calibrations(asker, "action", entity, upto)
         case "run":
-            facts = _make_facts(_RUN_NAMES, asker.fetch(_RUN, entity.name))
+            facts = _read_facts(asker, "run", entity.name)
             facts["calibrations"] = _list_calibrations(asker, "run", entity, upto)
-        case "labware":
-            facts = _make_facts(_LABWARE_NAMES, asker.fetch(_LABWARE, entity.name))
-        case "experiment":
-            facts = _make_facts(_EXPERIMENT_NAMES, asker.fetch(_EXPERIMENT, entity.name))
+        case "labware" | "experiment" | "calibration":
+            facts = _read_facts(asker, entity.kind, entity.name)
         case "file":
             facts = _make_facts(_FILE_NAMES, asker.fetch(_FILE, entity.name, upto))
         case "driver":
             facts = dict(zip(("module", "driver", "driver_version"), entity.name.split(" ", 2), strict=True))
-        case "calibration":
-            facts = _make_facts(_CALIBRATION_NAMES, asker.fetch(_CALIBRATION, entity.name))
         case "well":
             plate, well = well_of(entity.name)
             facts = {"labware": plate, "well": well}
@@ -89,7 +67,7 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
         case "action" | "result":
             where = f"{facts.get('run', '')} #{facts.get('step')}" if facts.get("run") else entity.name
             key = f" {facts['key']!r}" if facts.get("key") else ""
-            act = f"{str(facts.get('module', '')).rpartition('/')[2]}.{facts.get('name', '')}"
+            act = f"{local(str(facts.get('module', '')))}.{facts.get('name', '')}"
             return f"result of {where}{key}" if entity.kind == "result" else f"{act} ({where}{key})"
         case "run" if facts.get("workflow"):
             return f"run {entity.name} ({facts['workflow']})"
@@ -103,9 +81,9 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
             return f"well {entity.name}"
         case "driver":
             module, driver, version = entity.name.split(" ", 2)
-            return f"driver {driver} {version} ({module.rpartition('/')[2]})"
+            return f"driver {driver} {version} ({local(module)})"
         case "calibration" if facts.get("module"):
-            of = f"{facts.get('what', '')} of {str(facts['module']).rpartition('/')[2]}".removeprefix(" of ")
+            of = f"{facts.get('what', '')} of {local(str(facts['module']))}".removeprefix(" of ")
             certificate = f", certificate {facts['certificate']}" if facts.get("certificate") else ""
             until = f", valid until {facts['until']}" if facts.get("until") else ""
             return f"calibration {entity.name.rpartition('@')[2]} ({of}{certificate}{until})"
@@ -114,6 +92,12 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
 
 def _list_calibrations(asker: ReadConnection, column: str, entity: Entity, upto: int) -> list[str]:
     return [str(name) for name, _ in asker.fetch(_RELIED_ON[column], entity.name, upto)]
+
+
+def _read_facts(asker: ReadConnection, kind: str, name: str) -> dict[str, Any]:
+    names = tuple(_COLUMNS[kind].split())
+    query = f"SELECT {', '.join(names)} FROM {_VIEWS.get(kind, f'{kind}s')} WHERE {kind} = ?"
+    return _make_facts(names, asker.fetch(query, name))
 
 
 def _make_facts(names: tuple[str, ...], rows: list[Any]) -> dict[str, Any]:

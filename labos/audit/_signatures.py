@@ -8,33 +8,7 @@ from labos.core.envelope import Envelope
 from labos.core.signatures import RecordsSigned, RunSigned
 
 
-def on_run_signed(rows: RowChanges, event: RunSigned, head: Envelope, at: float) -> None:
-    _add(rows, event, event.run, "run", 0, head, at)
-
-
-def on_records_signed(rows: RowChanges, event: RecordsSigned, head: Envelope, at: float) -> None:
-    _add(rows, event, event.subject, event.kind, event.runs, head, at)
-
-
-def _add(
-    rows: RowChanges,
-    event: RunSigned | RecordsSigned,
-    subject: str,
-    kind: str,
-    runs: int,
-    head: Envelope,
-    at: float,
-) -> None:
-    rows.put(
-        SIGNATURES,
-        {
-            "position": head.position,
-            "subject": subject,
-            "kind": kind,
-            "signed_by": event.by,
-            "comment": event.why,
-            "at_s": at,
-            "runs": runs,
-        },
-        event,
-    )
+def on_signed(rows: RowChanges, event: RunSigned | RecordsSigned, head: Envelope, at: float) -> None:
+    run = {"subject": event.run, "kind": "run", "runs": 0} if isinstance(event, RunSigned) else {}
+    about = {"position": head.position, "signed_by": event.by, "comment": event.why, "at_s": at}
+    rows.put(SIGNATURES, {**about, **run}, event)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, assert_never
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
@@ -127,6 +127,8 @@ def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -
             run["status"], run["why"], run["failure"] = "failed", event.why, event.kind
         case r.RunCancelled():
             run["status"], run["why"] = "cancelled", run["why"] or event.why
+        case _:
+            assert_never(event)
 
 
 # -- steps -------------------------------------------------------------------------------------
@@ -174,6 +176,9 @@ def _set_step_status(
     return step
 
 
+_OF_NODE = ("driver", "driver_version", "about", "simulated")
+"""Facts of the present node that are stored with an action."""
+
 # -- actions -----------------------------------------------------------------------------------
 
 
@@ -190,10 +195,7 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
         ACTIONS,
         {
             "key": step["key"] if step is not None else "",
-            "driver": node["driver"] if node is not None else "",
-            "driver_version": node["driver_version"] if node is not None else "",
-            "about": node["about"] if node is not None else "",
-            "simulated": node["simulated"] if node is not None else False,
+            **({name: node[name] for name in _OF_NODE} if node is not None else {}),
             "labware": labware_of(event.effects),
             "status": "requested",
             "effects": "",

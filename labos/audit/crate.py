@@ -57,37 +57,12 @@ _RUNS = (
 _TABLES = {
     "results.csv": (
         "What was measured, well by well",
-        (
-            "run",
-            "step",
-            "key",
-            "module",
-            "labware",
-            "well",
-            "sample",
-            "quantity",
-            "value",
-            "text",
-            "unit",
-            "at",
-        ),
+        "run step key module labware well sample quantity value text unit at",
         "SELECT {} FROM results WHERE run = ? ORDER BY position, number",
     ),
     "transfers.csv": (
         "What was transferred into and out of wells",
-        (
-            "run",
-            "at",
-            "kind",
-            "labware",
-            "well",
-            "volume_ul",
-            "liquid",
-            "lots",
-            "certain",
-            "module",
-            "action",
-        ),
+        "run at kind labware well volume_ul liquid lots certain module action",
         "SELECT {} FROM transfers WHERE run = ? ORDER BY position, number",
     ),
 }
@@ -176,7 +151,7 @@ def make_crate(
     users = [run.user for run in runs] or [experiment.user for experiment in (experiment,) if experiment]
     crate.add_properties("./", author=make_link(*(make_local_id("user", user) for user in users)))
     for table, (words, columns, query) in _TABLES.items():
-        _add_table(crate, asker, runs, table, words, columns, query)
+        _add_table(crate, asker, runs, table, words, columns.split(), query)
     for id_, title, version in profiles:
         crate.add("CreativeWork", id_, name=title, version=version)
     crate.add_properties("./", conformsTo=make_link(*(id_ for id_, _, _ in profiles)))
@@ -311,7 +286,7 @@ def _add_table(
     runs: list[Run],
     path: str,
     words: str,
-    columns: tuple[str, ...],
+    columns: list[str],
     query: str,
 ) -> None:
     """Add the rows of a view as CSV, if there are any."""

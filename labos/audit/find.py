@@ -36,14 +36,14 @@ class SearchQuery(msgspec.Struct, frozen=True):
     the campaigns ``hidden`` are not found."""
 
     words: str = ""
-    kinds: tuple[str, ...] = ()
-    users: tuple[str, ...] = ()
-    workcells: tuple[str, ...] = ()
-    workflows: tuple[str, ...] = ()
-    experiments: tuple[str, ...] = ()
-    runs: tuple[str, ...] = ()
-    statuses: tuple[str, ...] = ()
-    keywords: tuple[str, ...] = ()
+    kind: tuple[str, ...] = ()
+    user: tuple[str, ...] = ()
+    workcell: tuple[str, ...] = ()
+    workflow: tuple[str, ...] = ()
+    experiment: tuple[str, ...] = ()
+    run: tuple[str, ...] = ()
+    status: tuple[str, ...] = ()
+    keyword: tuple[str, ...] = ()
     since: int = 0
     until: int = 0
     limit: int = 20
@@ -131,7 +131,7 @@ def _make_entry(row: Any) -> SearchEntry:
 
 def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str, list[Any]]:
     """The conditions after WHERE, and their values."""
-    for kind in question.kinds:
+    for kind in question.kind:
         if kind not in KINDS:
             raise BadInput(f"There is no kind of entry {kind!r}.", remedy=f"Use one of {', '.join(KINDS)}.")
     parts: list[str] = []
@@ -145,22 +145,15 @@ def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str
         bare = index.strip('"')
         parts.append(f"number IN (SELECT rowid FROM labos.{index} WHERE {bare} MATCH ?)")
         values.append(" AND ".join(f'"{word}"{" *" if begins else ""}' for word, begins in terms))
-    for column, wanted in (
-        ("kind", question.kinds),
-        ("user_id", question.users),
-        ("workcell", question.workcells),
-        ("workflow", question.workflows),
-        ("experiment", question.experiments),
-        ("run", question.runs),
-        ("status", question.statuses),
-    ):
-        if wanted:
+    for name in ("kind", "user", "workcell", "workflow", "experiment", "run", "status"):
+        if wanted := getattr(question, name):
+            column = "user_id" if name == "user" else name
             parts.append(f"{column} IN ({', '.join('?' * len(wanted))})")
             values += wanted
-    if question.keywords:
-        marks = ", ".join("?" * len(question.keywords))
+    if question.keyword:
+        marks = ", ".join("?" * len(question.keyword))
         parts.append(f"EXISTS (SELECT 1 FROM {_write_keywords(asker)} WHERE {_KEYWORD} IN ({marks}))")
-        values += question.keywords
+        values += question.keyword
     if question.since:
         parts.append("at_s >= ?")
         values.append(question.since / 1e9)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 from typing import Any, Literal
 
-import msgspec
-
 from labos.audit._causes import CAUSES
 from labos.audit._effects import EFFECTS
 from labos.audit._facts import facts_of
@@ -111,16 +109,3 @@ def _find_next(asker: ReadConnection, entity: Entity, bound: int, upto: int, dir
         return causes(asker, entity, bound) if causes is not None else ()
     effects = EFFECTS.get(entity.kind)
     return effects(asker, entity, bound, upto) if effects is not None else ()
-
-
-def make_plain(graph: Graph) -> dict[str, Any]:
-    """The graph for programs."""
-    return {
-        "subject": msgspec.to_builtins(graph.subject),
-        "position": graph.position,
-        "facts": graph.facts,
-        "contents": msgspec.to_builtins(graph.contents),
-        "links": msgspec.to_builtins(graph.links),
-        "entities": graph.entities,
-        "whole": graph.whole,
-    }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -14,7 +13,15 @@ import msgspec
 from labos.bootstrap._bus import BUS_PATIENCE_S, join_bus
 from labos.bootstrap._desk import read_api_key
 from labos.bootstrap._drivers import load_drivers
-from labos.bootstrap._gate import describe_listening, end_streams, expect_tls, expect_users, open_gate_beside
+from labos.bootstrap._gate import (
+    describe_listening,
+    end_streams,
+    expect_tls,
+    expect_users,
+    follow_marks,
+    open_gate,
+    start_viewers,
+)
 from labos.bootstrap._secure import Guard
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest
@@ -27,17 +34,15 @@ from labos.http.letters import Letters
 from labos.http.link import KernelLink
 from labos.http.server import HttpServer
 from labos.http.service import LabService
-from labos.http.viewers import Viewers
 from labos.pki import PROCESS_NAME, PartyIdentity
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FollowedKernel, SendOn
 from labos.runtime.log_check import LogCheck
-from labos.runtime.marks import Marks
 from labos.runtime.registry import Registry
 from labos.settings import Settings, is_alive, last_kernel
 from labos.store import SqlEventStore, is_replica, open_blobs, open_store, show_url
-from labos.telemetry.api import ApiMetrics, ApiReadings
+from labos.telemetry.api import ApiMetrics
 
 
 class ApiSettings(msgspec.Struct, frozen=True):
@@ -90,19 +95,17 @@ class ApiRuntime:
     def text(self) -> str:
         """All metrics of this process, in Prometheus' text format."""
         state, work = self.kernel.state, self.link.work
-        readings = ApiReadings(
-            lab=state.lab.id,
-            name=state.lab.name,
-            process=self.settings.name,
+        found = self.counts.of_process
+        found.info.set(1, (state.lab.id, state.lab.name, self.settings.name))
+        found.take(
             position=state.position,
             recorded_at=state.recorded_at / 1e9,
             kernel_there=self.link.is_there,
-            here=work.here,
-            by_kernel=work.by_kernel,
-            away=work.away,
             kernel_s=work.kernel_s,
         )
-        return self.counts.text(readings)
+        answered = {"api": work.here, "kernel": work.by_kernel, "nobody": work.away}
+        found.requests.replace({(by,): count for by, count in answered.items()})
+        return self.counts.text()
 
     def targets(self, host: str) -> list[dict[str, Any]]:
         """The addresses of this process's metrics; the kernel knows those of all others."""
@@ -162,17 +165,13 @@ async def open_api(api_settings: ApiSettings) -> AsyncIterator[ApiRuntime]:
         expect_users(settings, kernel)
         api = ApiRuntime(msgspec.structs.replace(api_settings, lab=settings), kernel, store)
         await _link(api, stack)
-        viewers = Viewers(settings.database) if sys.platform != "win32" else None
         feed = Feed()
         kernel.listeners.append(feed)
-        service = LabService(api, feed, viewers)
+        service = LabService(api, feed, start_viewers(settings))
         service.finder = Finder(settings.database, settings.blobs, settings.home)
         service.link = api.link
-        service.marks = Marks(store)
-        kernel.listeners.append(service.marks)
-        service.marks.begin()
-        stack.push_async_callback(service.marks.close)
-        gate = stack.enter_context(open_gate_beside(settings, accounts, kernel, api.counts.signing))
+        service.marks = follow_marks(store, kernel, stack)
+        gate = stack.enter_context(open_gate(settings, accounts, kernel, api.counts.signing))
         api.http = HttpServer(service, gate, describe_listening(settings, settings.http_port or 0))
         kernel.follow()
         stack.push_async_callback(kernel.close)

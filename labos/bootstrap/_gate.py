@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+import sys
+from collections.abc import Iterator
+from contextlib import AsyncExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import structlog
 
-from labos.bootstrap._metrics import LabMetrics
 from labos.clock import Clock
 from labos.core.decide.users import AddUser
 from labos.core.users import UserDisabled
@@ -21,14 +21,16 @@ from labos.http.identity import Gate
 from labos.http.lab_kernel import LabKernel
 from labos.http.operation import Api
 from labos.http.server import Listening, is_own_address
+from labos.http.viewers import Viewers
 from labos.private import create_file
 from labos.runtime.kernel import Kernel
-from labos.runtime.ledger import Entry
+from labos.runtime.kernel_log import OnEvents
+from labos.runtime.marks import Marks
 from labos.services.accounts import HOME, Accounts, make_secret
 from labos.services.accounts.accounts import FRESH_S
 from labos.services.accounts.provider_file import load_provider
 from labos.settings import OIDC, Settings
-from labos.store import open_accounts
+from labos.store import SqlEventStore, open_accounts
 from labos.telemetry.signing import Signing
 
 if TYPE_CHECKING:
@@ -109,16 +111,14 @@ def expect_users(settings: Settings, kernel: LabKernel) -> None:
 
 
 @contextmanager
-def open_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterator[Gate]:
-    """The gate of a running lab; its key is in the lab's folder as long as the block lasts."""
-    with ExitStack() as stack:
-        store = open_accounts(settings.database)
-        stack.callback(store.close)
+def open_gate(
+    settings: Settings, accounts_url: str, kernel: LabKernel, signing: Signing, key: str = ""
+) -> Iterator[Gate]:
+    """The gate of a running lab, or of an API process, with the accounts in a database. ``key`` is the key in
+    the lab's folder, which only the kernel's process accepts."""
+    store = open_accounts(accounts_url)
+    try:
         accounts = Accounts(store, kernel.clock, lambda user: kernel.state.users.get(user) is not None)
-        key = make_secret(HOME)
-        with create_file(settings.home_key) as file:
-            file.write(f"{key}\n".encode())
-        stack.callback(_remove, settings)
         gate = Gate(
             accounts,
             lambda: kernel.state.users,
@@ -126,30 +126,35 @@ def open_gate(settings: Settings, kernel: Kernel, metrics: LabMetrics) -> Iterat
             secure=describe_listening(settings, 0).is_secure,
             provider=_read_provider(settings, kernel.clock),
         )
-        kernel.listeners.append(_Disabled(accounts))
-        metrics.watch_gate(gate)
-        yield gate
-
-
-@contextmanager
-def open_gate_beside(
-    settings: Settings, accounts_url: str, kernel: LabKernel, signing: Signing
-) -> Iterator[Gate]:
-    """The gate of an API process: the same accounts, and no key of the lab's folder."""
-    store = open_accounts(accounts_url)
-    try:
-        accounts = Accounts(store, kernel.clock, lambda user: kernel.state.users.get(user) is not None)
-        gate = Gate(
-            accounts,
-            lambda: kernel.state.users,
-            secure=describe_listening(settings, 0).is_secure,
-            provider=_read_provider(settings, kernel.clock),
-        )
-        kernel.listeners.append(_Disabled(accounts))
+        kernel.listeners.append(OnEvents((UserDisabled,), lambda event: accounts.end_of_user(event.user)))
         signing.watch(accounts.on_try, gate.on_refusal)
         yield gate
     finally:
         store.close()
+
+
+def lay_home_key(settings: Settings, stack: AsyncExitStack) -> str:
+    """A new key, which is in the lab's folder until the ``stack`` is closed."""
+    key = make_secret(HOME)
+    with create_file(settings.home_key) as file:
+        file.write(f"{key}\n".encode())
+    stack.callback(_remove, settings)
+    return key
+
+
+def start_viewers(settings: Settings) -> Viewers | None:
+    """The process for clients that follow the log, on systems where a connection can be passed to another
+    process."""
+    return Viewers(settings.database) if sys.platform != "win32" else None
+
+
+def follow_marks(store: SqlEventStore, kernel: LabKernel, stack: AsyncExitStack) -> Marks:
+    """The marks of requests in the log, until the ``stack`` is closed."""
+    marks = Marks(store)
+    kernel.listeners.append(marks)
+    marks.begin()
+    stack.push_async_callback(marks.close)
+    return marks
 
 
 async def end_streams(api: Api) -> None:
@@ -174,18 +179,3 @@ def _read_provider(settings: Settings, clock: Clock) -> Provider | None:
 def _remove(settings: Settings) -> None:
     with suppress(OSError):
         settings.home_key.unlink()
-
-
-class _Disabled:
-    """Ends the streams of a disabled user."""
-
-    def __init__(self, accounts: Accounts) -> None:
-        self._accounts = accounts
-
-    def on_committed(self, entries: Sequence[Entry]) -> None:
-        for entry in entries:
-            if isinstance(entry.event, UserDisabled):
-                self._accounts.end_of_user(entry.event.user)
-
-    def on_reopened(self) -> None:
-        pass

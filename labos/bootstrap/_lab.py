@@ -6,7 +6,6 @@ import asyncio
 import math
 import os
 import socket
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager, contextmanager, suppress
 from pathlib import Path
@@ -21,8 +20,11 @@ from labos.bootstrap._gate import (
     describe_listening,
     expect_tls,
     expect_users,
+    follow_marks,
     give_first_password,
+    lay_home_key,
     open_gate,
+    start_viewers,
 )
 from labos.bootstrap._hands import SimulatedHands
 from labos.bootstrap._metrics import LabMetrics
@@ -43,16 +45,13 @@ from labos.http.feed import Feed
 from labos.http.finding import Finder
 from labos.http.server import HttpServer
 from labos.http.service import LabService
-from labos.http.viewers import Viewers
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.private import make_folder
 from labos.runtime.feeder import Feeder
 from labos.runtime.follower import Follower
 from labos.runtime.kernel import Kernel
-from labos.runtime.kernel_log import KernelSettings
-from labos.runtime.ledger import Entry
+from labos.runtime.kernel_log import KernelSettings, OnEvents
 from labos.runtime.log_check import LogCheck
-from labos.runtime.marks import Marks
 from labos.runtime.writer import ThreadWriter
 from labos.services.journals import find_untold, refuse_lost_log
 from labos.settings import (
@@ -126,7 +125,8 @@ async def open_lab(
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
         _hear_journals(settings, store, kernel)
-        kernel.listeners.append(_LogEndListener(store))
+        # The next start does not ask about the same loss again.
+        kernel.listeners.append(OnEvents((BenchCompared,), lambda _: store.accept_end()))
         await kernel.begin_planning()
         notifier = await stack.enter_async_context(run_notifier(settings, contacts, kernel))
         modules = [*kernel.state.modules.by_name, *(m.name for c in workcells for m in c.workcell.modules)]
@@ -136,20 +136,25 @@ async def open_lab(
         )
         feed = Feed()
         kernel.listeners.append(feed)
-        lab.service = LabService(lab, feed, _start_viewers(settings))
+        lab.service = LabService(lab, feed, start_viewers(settings))
         lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
-        lab.gate = stack.enter_context(open_gate(settings, kernel, lab.metrics))
+        lab.gate = stack.enter_context(
+            open_gate(
+                settings,
+                settings.database,
+                kernel,
+                lab.metrics.all.signing,
+                key=lay_home_key(settings, stack),
+            )
+        )
         await give_first_password(settings, lab.gate.accounts)
-        lab.service.marks = Marks(store)
-        kernel.listeners.append(lab.service.marks)
-        lab.service.marks.begin()
-        stack.push_async_callback(lab.service.marks.close)
+        lab.service.marks = follow_marks(store, kernel, stack)
         lab.http = HttpServer(lab.service, lab.gate, describe_listening(settings, http_port))
         await lab.http.start()
         stack.push_async_callback(lab.http.close)
         await stack.enter_async_context(serve_api_processes(settings, lab))
-        feeder = Feeder(kernel, CampaignRows(lab.service))
+        feeder = Feeder(kernel, CampaignRows(lab.service).propose)
         feeder.start()
         stack.push_async_callback(feeder.close)
         watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
@@ -267,27 +272,6 @@ def _is_simulated(settings: Settings) -> bool:
             remedy="Its log would not match the other bench. Use another --home.",
         )
     return wanted
-
-
-def _start_viewers(settings: Settings) -> Viewers | None:
-    """The process for clients that follow the log, on systems where a connection can be passed to another
-    process."""
-    return Viewers(settings.database) if sys.platform != "win32" else None
-
-
-class _LogEndListener:
-    """Informs the store when a person has compared the bench with the log: the next start does not ask about
-    the same loss again."""
-
-    def __init__(self, store: SqlEventStore) -> None:
-        self._store = store
-
-    def on_committed(self, entries: Sequence[Entry]) -> None:
-        if any(isinstance(entry.event, BenchCompared) for entry in entries):
-            self._store.accept_end()
-
-    def on_reopened(self) -> None:
-        pass
 
 
 def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:

@@ -12,11 +12,9 @@ from labos.core.ids import local, workcell_of
 from labos.errors import StoreError
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.otlp import OtlpSender
-from labos.telemetry.process_metrics import ProcessReadings
 
 if TYPE_CHECKING:
     from labos.bootstrap._runtime import LabRuntime
-    from labos.http.identity import Gate
     from labos.runtime.writer import ThreadWriter
 
 
@@ -42,10 +40,6 @@ class LabMetrics:
         """Begin to read the past events."""
         self.unattended.start()
 
-    def watch_gate(self, gate: Gate) -> None:
-        """Count sign-ins and refusals."""
-        self.all.signing.watch(gate.accounts.on_try, gate.on_refusal)
-
     async def close(self) -> None:
         await self.unattended.close()
 
@@ -55,7 +49,7 @@ class LabMetrics:
         began, now = kernel.clock.monotonic(), kernel.clock.now_ns()
         try:
             found.of_state.update(kernel.state, kernel.scheduler, now)
-            found.of_process.update(self._read())
+            self._read_process()
         except StoreError:  # the log is being read again
             found.of_state.clear()
             found.of_process.lose()
@@ -86,20 +80,20 @@ class LabMetrics:
             found.append({"targets": [address], "labels": {"lab": name, "process": "node", **labels}})
         return found
 
-    def _read(self) -> ProcessReadings:
+    def _read_process(self) -> None:
         lab, kernel = self._lab, self._lab.kernel
         state, check, bus = kernel.state, lab.log_check, lab.bus.traffic
         disk = shutil.disk_usage(lab.settings.home)
-        return ProcessReadings(
-            lab=state.lab.id,
-            name=state.lab.name,
-            simulated=lab.simulated,
+        self.all.of_process.update(
+            state.lab.id,
+            state.lab.name,
+            lab.simulated,
             pace=state.lab.pace,
             epoch=state.lab.epoch,
             started_at=self._started_at,
             suspended=bool(kernel.suspended),
-            decided=state.position,
             durable=kernel.durable,
+            unwritten=max(state.position - kernel.durable, 0),
             checked=check.checked if check is not None else 0,
             damaged=bool(check.damage) if check is not None else False,
             store_bytes=self._files() if self._files is not None else None,

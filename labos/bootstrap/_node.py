@@ -144,7 +144,7 @@ async def run_node(
             on_end=shown.metrics.on_end if shown is not None else None,
         )
         if shown is not None:
-            shown.metrics.watch(server, asyncio.get_running_loop())
+            shown.metrics.watch(server.state, asyncio.get_running_loop())
         await server.start()
         _log.info("node_started", module=module, lab=lab, status=server.status)
         if security is not None:

@@ -4,35 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Iterator
 from contextlib import ExitStack, asynccontextmanager, contextmanager
 
 import structlog
 
 from labos.clock import Clock
+from labos.core.registry import TYPES as EVENTS
 from labos.errors import LabosError
 from labos.lockfile import FileLock
 from labos.runtime.kernel import Kernel
-from labos.runtime.ledger import Entry
+from labos.runtime.kernel_log import OnEvents
 from labos.services.notify import TYPES, Book, Notifier, Outbox, load_contacts
 from labos.settings import CONTACTS, Settings, was_simulated
 from labos.store import open_store
 
 _log = structlog.get_logger(__name__)
-
-
-class _NotifierWaker:
-    """Wakes the notifier for the events that it reads, and for no others."""
-
-    def __init__(self, notifier: Notifier) -> None:
-        self._notifier, self._types = notifier, frozenset(TYPES)
-
-    def on_committed(self, entries: Sequence[Entry]) -> None:
-        if any(entry.record.head.type in self._types for entry in entries):
-            self._notifier.wake()
-
-    def on_reopened(self) -> None:
-        """Events that were not written were never read."""
 
 
 def find_contacts(settings: Settings) -> Book | None:
@@ -60,7 +47,7 @@ async def run_notifier(
             yield None
             return
         kernel.failed.add_done_callback(lambda failed: notifier.on_kernel_stopped(str(failed.result())))
-        bell = _NotifierWaker(notifier)
+        bell = OnEvents(tuple(EVENTS[name] for name in TYPES), lambda _: notifier.wake())
         kernel.listeners.append(bell)
         notifier.start()
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 
 import click
 
@@ -49,11 +49,6 @@ def open_views(where: Where, limit_s: float) -> Iterator[ReadConnection]:
     """The same, for commands that need only the views."""
     with open_log_and_views(where, limit_s) as (_, asker):
         yield asker
-
-
-def open_views_as_is(where: Where, limit_s: float) -> AbstractContextManager[ReadConnection]:
-    """The views, without an update."""
-    return open_asker(where.url, limit_s)
 
 
 def forget_erased(where: Where) -> bool:

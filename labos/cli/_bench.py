@@ -14,7 +14,7 @@ from labos.cli._options import (
     user_option,
     why_option,
 )
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 
 
 @click.command("observe")
@@ -42,9 +42,7 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
 
     with need_lab(home) as client:
         follows = client.observe(station, what, find_user(user))
-    if as_json:
-        show_json(follows)
-        return
+    end_with_json(follows, as_json)
     for labware, place in follows["found"].items():
         click.echo(f"{labware} stands at {local(place)}.")
     for labware in follows["gone"]:

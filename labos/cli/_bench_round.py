@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.core.ids import local
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def show_refused(refused: Sequence[Mapping[str, str]]) -> None:
     """The refused stations, each reason once."""
     reasons: dict[str, list[str]] = {}
     for one in refused:
-        reasons.setdefault(f"{one['why']} {one['remedy']}", []).append(one["station"].partition("/")[2])
+        reasons.setdefault(f"{one['why']} {one['remedy']}", []).append(local(one["station"]))
     for reason, stations in reasons.items():
         more = f" and {len(stations) - NAMED} more" if len(stations) > NAMED else ""
         click.echo(f"{', '.join(stations[:NAMED])}{more}: {reason}")

@@ -11,6 +11,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from labos.core.ids import local
 from labos.services.times import show_span, show_time
 
 ENDED_SHOWN = 8
@@ -69,6 +70,6 @@ def _draw_modules(state: dict[str, Any]) -> Text:
     text = Text()
     colors = {"IDLE": "dim", "BUSY": "cyan", "ERROR": "bold red", "GONE": "red"}
     for module in state["modules"]:
-        name = module["module"].rpartition("/")[2]
+        name = local(module["module"])
         text.append(f"{name} ", style=colors.get(module["status"], ""))
     return text

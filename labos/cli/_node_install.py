@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import cert_option, home_option, json_option, pki_option
+from labos.cli._options import cert_option, file_option, home_option, json_option, pki_option
 from labos.cli._out import report
 from labos.errors import BadInput, SystemFailed
 from labos.settings import Settings, last_kernel
@@ -22,14 +22,7 @@ from labos.version import VERSION
     metavar="ENDPOINT",
     help="The lab's bus as that computer reaches it: tcp/HOST:7447, or tls/HOST:7447 if it is secure.",
 )
-@click.option(
-    "-o",
-    "--output",
-    "file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="The file to write (labos-node-WORKCELL-MODULE.tar.gz).",
-)
+@file_option("-o", "--output", "file", help="The file to write (labos-node-WORKCELL-MODULE.tar.gz).")
 @click.option(
     "--option",
     "options",

@@ -53,6 +53,16 @@ def refuse_password(context: click.Context, option: click.Parameter, url: str | 
     return url
 
 
+def file_option(*names: str, metavar: str = "FILE", **more: Any) -> Callable[[F], F]:
+    """An option that names a file; the command gets a Path."""
+    return click.option(*names, type=click.Path(path_type=Path, dir_okay=False), metavar=metavar, **more)
+
+
+def folder_option(*names: str, metavar: str = "FOLDER", **more: Any) -> Callable[[F], F]:
+    """An option that names a folder; the command gets a Path."""
+    return click.option(*names, type=click.Path(path_type=Path, file_okay=False), metavar=metavar, **more)
+
+
 home_option = click.option(
     "--home",
     metavar="DIR",
@@ -76,16 +86,11 @@ address_option = click.option(
     metavar="HOST",
     help="A further name or address by which other computers reach the secure bus.",
 )
-pki_option = click.option(
-    "--pki",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="The certificate authority (LABOS_PKI; pki in the lab's folder if neither is given).",
+pki_option = folder_option(
+    "--pki", help="The certificate authority (LABOS_PKI; pki in the lab's folder if neither is given)."
 )
-cert_option = click.option(
+cert_option = folder_option(
     "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="The folder from `labos pki issue`, for a secure bus (default: the one in the lab's folder).",
 )
 
@@ -138,6 +143,12 @@ class Asker(msgspec.Struct, frozen=True):
         from labos.cli._lab import need_lab
 
         return need_lab(self.home)
+
+    def end_with_json(self, value: Any) -> None:
+        """With ``--json``, show the value and end the command."""
+        from labos.cli._out import end_with_json
+
+        end_with_json(value, self.as_json)
 
     def report(self, sentence: str, facts: Any) -> None:
         """Report what a command has done."""

@@ -64,6 +64,13 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
+def end_with_json(value: Any, as_json: bool) -> None:
+    """With ``--json``, show the value and end the command."""
+    if as_json:
+        show_json(value)
+        click.get_current_context().exit()
+
+
 def report(sentence: str, facts: Any, *, as_json: bool) -> None:
     """Report what a command has done: a sentence, or its facts as JSON."""
     if as_json:

@@ -155,9 +155,7 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
         asker.report(f"{intervention} is answered: {choice}.", facts)
         return
     questions = open_questions(asker.home)
-    if asker.as_json:
-        show_json(questions)
-        return
+    asker.end_with_json(questions)
     if not questions:
         click.echo("No question is open.")
     for question in questions:

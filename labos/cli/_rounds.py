@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from labos.core.ids import local, workcell_of
+
 KEPT, EMPTY = "kept", "empty"
 COUNTED = ("stack", "waste")
 """Kinds of stations whose pieces are counted, not named."""
@@ -19,11 +21,11 @@ Changes = list[tuple[str, str]]
 def ask(state: Mapping[str, Any], workcell: str, standing: Mapping[str, Sequence[str]]) -> Changes:
     """The changes for ``LabClient.leave``; the user confirms them. ``standing`` is the content of each
     station that is not empty according to the log. Raises click.Abort for an end of input and for a no."""
-    hotels = Counter(station["hotel"].partition("/")[2] for station in state["stations"])
+    hotels = Counter(local(station["hotel"]) for station in state["stations"])
     stations = {
-        name.partition("/")[2]: station
+        local(name): station
         for station in state["stations"]
-        if (name := station["name"]).partition("/")[0] == workcell and name.partition("/")[2] not in hotels
+        if workcell_of(name := station["name"]) == workcell and local(name) not in hotels
     }
     click.echo("What stands there now? Enter: unchanged. Otherwise: empty, or an id (P7) or type of labware.")
     now: dict[str, list[str]] = {}

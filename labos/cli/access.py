@@ -10,6 +10,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, why_option
+from labos.core.ids import local, workcell_of
 from labos.errors import BadInput, NotFound, Refused
 
 if TYPE_CHECKING:
@@ -174,9 +175,9 @@ def _list_recorded(state: dict[str, Any], workcell: str) -> dict[str, list[str]]
     """The content of each station that is not empty according to the log."""
     types = {item["id"]: item["type"] for item in state["labware"]}
     found: dict[str, list[str]] = {}
-    hotels = {station["hotel"].partition("/")[2] for station in state["stations"]}
+    hotels = {local(station["hotel"]) for station in state["stations"]}
     for station in state["stations"]:
-        cell, _, name = station["name"].partition("/")
+        cell, name = workcell_of(station["name"]), local(station["name"])
         standing = [f"{labware} ({types[labware]})" for labware in station["labware"]]
         if station["stock"]:
             standing.append(f"{station['stock']} in stock")

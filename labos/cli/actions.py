@@ -9,8 +9,9 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_table, terminal_width
-from labos.cli._query import Where, json_option, log_options
+from labos.cli._out import show_table, terminal_width
+from labos.cli._query import Where, log_and_json
+from labos.core.ids import local
 
 if TYPE_CHECKING:
     from labos.core.model import ActionSpec, Arg, Description, ModuleSpec
@@ -38,9 +39,8 @@ class Offer(msgspec.Struct, frozen=True):
 @click.argument("action", required=False, default="")
 @click.option("--drivers", is_flag=True, help="Show all installed drivers, even if there is a lab.")
 @click.option("--workcell", "file", metavar="FILE", help="The modules of this workcell file.")
-@json_option
-@log_options
-def command(where: Where, name: str, action: str, drivers: bool, file: str | None, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, name: str, action: str, drivers: bool, file: str | None) -> None:
     """Show the actions of a module, with the arguments for a step of a workflow.
 
     MODULE is a module of the lab, or with --workcell of the workcell file. DRIVER is a driver or a model.
@@ -58,9 +58,8 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_keep_only(offer, action) for offer in offers]
-    if as_json:
-        show_json([_make_plain(offer) for offer in offers])
-    elif name:
+    where.end_with_json([_make_plain(offer) for offer in offers])
+    if name:
         for offer in offers:
             _show(offer)
     else:
@@ -129,7 +128,7 @@ def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[O
     from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
-    wanted = name.rpartition("/")[2].lower()
+    wanted = local(name).lower()
     for found in (
         [offer for offer in offers if offer.name.lower() == wanted],
         [offer for offer in drivers if wanted in _names_of(offer.driver)],

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_table
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -42,9 +42,8 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
         forecast = _forecast(client, subject, answer) if subject and not no_forecast else None
     if forecast is not None:
         answer["forecast"] = forecast
-    if asker.as_json:
-        show_json(answer)
-    elif subject:
+    asker.end_with_json(answer)
+    if subject:
         _show(answer)
         if forecast is not None:
             _show_forecast(forecast, subject)

@@ -10,7 +10,7 @@ import click
 from labos.cli._audit import open_projector, show_progress
 from labos.cli._group import Suggesting
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options
+from labos.cli._query import Where, log_and_json, log_options
 from labos.errors import BadInput
 from labos.services.times import iso_time, show_time
 
@@ -38,9 +38,8 @@ def command() -> None:
     metavar="SECONDS",
     help="How often to check for new events.",
 )
-@json_option
-@log_options
-def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
+@log_and_json
+def project(where: Where, follow: bool, every: float) -> None:
     """Update the tables from the log. `labos sql` and `labos provenance` do this themselves. For dashboards,
     run this command with --follow.
 
@@ -55,7 +54,7 @@ def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
         os.nice(CALM)
     with open_projector(where) as (_, database, projector):
         position = projector.catch_up(show_progress)
-        _report_position(position, database.name, as_json)
+        _report_position(position, database.name, where.as_json)
         ended = threading.Event()
         while follow:
             try:
@@ -66,25 +65,23 @@ def project(where: Where, follow: bool, every: float, as_json: bool) -> None:
 
 
 @command.command("rebuild")
-@json_option
-@log_options
-def rebuild(where: Where, as_json: bool) -> None:
+@log_and_json
+def rebuild(where: Where) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
         database.reset()
-        _report_position(projector.catch_up(show_progress), database.name, as_json)
+        _report_position(projector.catch_up(show_progress), database.name, where.as_json)
 
 
 @command.command("status")
-@json_option
-@log_options
-def status(where: Where, as_json: bool) -> None:
+@log_and_json
+def status(where: Where) -> None:
     """Show how far the tables are behind the log."""
     with open_projector(where) as (store, database, _):
         mark, head = database.prepare(), store.head()
     behind = head.position - mark.position
     at = round((mark.at_s or 0) * 1e9)
-    if as_json:
+    if where.as_json:
         facts = {"database": database.name, "position": mark.position, "behind": behind}
         show_json({**facts, "log": head.position, "recorded": iso_time(at) if at else ""})
         return

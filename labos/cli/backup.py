@@ -7,26 +7,27 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
+from labos.cli._options import file_option, folder_option
+from labos.cli._query import (
+    Where,
+    log_and_json,
+    now_ns,
+    open_database,
+    read_kernel_file,
+)
 from labos.services.retention import note_retention
 from labos.settings import Settings
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
 _DAY_NS = 86_400 * 10**9
 
-key_option = click.option(
-    "--key",
-    "key_file",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="A file with the key of the seal, for instance made with openssl rand -hex 32.",
+key_option = file_option(
+    "--key", "key_file", help="A file with the key of the seal, for instance made with openssl rand -hex 32."
 )
 
 
-archive_option = click.option(
+archive_option = folder_option(
     "--archive",
-    type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     help="The folder of moved segments (labos backup --move-old), for segments that FOLDER lacks.",
 )
@@ -34,10 +35,9 @@ archive_option = click.option(
 
 @click.command("backup", short_help="Copy the log and its blobs while the lab runs.")
 @click.argument("folder", type=click.Path(path_type=Path, file_okay=False))
-@click.option(
+@folder_option(
     "--move-old",
     "archive",
-    type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     help="After the backup, move segments older than --keep-days to this folder, such as another disk.",
 )
@@ -49,10 +49,9 @@ archive_option = click.option(
     help="With --move-old: keep segments with an event from the last N days.",
 )
 @key_option
-@json_option
-@log_options
+@log_and_json
 def command(
-    where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None, as_json: bool
+    where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None
 ) -> None:
     """Create a backup in FOLDER, or update it to the present end of the log. The lab may run meanwhile.
 
@@ -88,15 +87,8 @@ def command(
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if archive is not None:
         note_retention(where.home, "moved_at", now_ns())
-    if as_json:
-        show_json(
-            {
-                **msgspec.structs.asdict(made),
-                "users": people.users,
-                "moved": [segment.file for segment in moved],
-            }
-        )
-        return
+    files = [segment.file for segment in moved]
+    where.end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
     click.echo(f"Hash {made.hash}, state {newest.state}")

@@ -4,7 +4,6 @@ bench."""
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,10 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
-from labos.cli._query import Where, log_options, open_database, open_log
+from labos.cli._query import Where, log_and_json, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
+from labos.services.describe import describe_counts
 
 
 @click.group("bench", cls=Suggesting)
@@ -41,7 +41,6 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
     labos bench declare sciclops.tower1=20xplate96
     labos bench declare bench.yaml --empty
     """
-    from labos.cli._out import show_json
 
     contents: dict[str, list[str]] = {}
     for text in stations:
@@ -53,19 +52,16 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     for name, types in found.items():
-        click.echo(f"{name}: {_count_types(types)}")
+        click.echo(f"{name}: {describe_counts(types)}")
     if not found:
         click.echo("All stations were declared before.")
 
 
 @command.command("show")
-@json_option
-@log_options
-def show(where: Where, as_json: bool) -> None:
+@log_and_json
+def show(where: Where) -> None:
     """Show the true state of a simulated bench, and where it differs from the log (exit code 1). The command
     works with and without a running lab, and changes nothing.
 
@@ -87,7 +83,7 @@ def show(where: Where, as_json: bool) -> None:
         )
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
-    if as_json:
+    if where.as_json:
         show_json({"agrees": all(sight.agrees for sight in sights), "workcells": sights})
     else:
         for sight in sights:
@@ -232,8 +228,3 @@ def _read_contents_file(path: str) -> list[tuple[str, list[str]]]:
             raise BadInput(f"{path}: what stands at {name!r} is not a labware type.")
         found.append(_read(f"{name}={','.join(listed)}"))
     return found
-
-
-def _count_types(types: Sequence[str]) -> str:
-    counts = {kind: types.count(kind) for kind in types}
-    return ", ".join(f"{number} × {kind}" for kind, number in counts.items()) or "empty"

@@ -10,7 +10,6 @@ from labos.cli._bookings import describe_booking, show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json, options_together
-from labos.cli._out import show_json
 from labos.errors import BadInput
 
 _booking = click.argument("booking", metavar="BOOKING")
@@ -194,10 +193,8 @@ def show(booking: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         found = client.booking(booking)
-    if asker.as_json:
-        show_json(found)
-    else:
-        show_bookings([found])
+    asker.end_with_json(found)
+    show_bookings([found])
 
 
 def _find_time_on(client: Any, booking: str, on: str) -> int:

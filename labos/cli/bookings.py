@@ -7,7 +7,6 @@ import click
 from labos.cli._bookings import show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
-from labos.cli._out import show_json
 
 
 @click.command("bookings", short_help="List bookings.")
@@ -23,7 +22,5 @@ def command(target: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         found = client.bookings(target)
-    if asker.as_json:
-        show_json(found)
-    else:
-        show_bookings(found)
+    asker.end_with_json(found)
+    show_bookings(found)

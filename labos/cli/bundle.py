@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._out import report
-from labos.cli._query import Where, json_option, log_options, open_database
+from labos.cli._options import file_option
+from labos.cli._query import Where, log_and_json, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
@@ -21,30 +21,17 @@ from labos.store import create_file, open_blobs
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
 @click.argument("subject", metavar="ID", shell_complete=make_completer("run", "experiment"))
-@click.option(
-    "-o",
-    "--output",
-    "file",
-    required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="The file to write.",
-)
-@click.option(
+@file_option("-o", "--output", "file", required=True, help="The file to write.")
+@file_option(
     "--checkpoint",
     "checkpoint",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="The checkpoint for the proof (default: the newest in checkpoints/ of the lab's folder).",
 )
 @click.option(
     "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
 )
-@json_option
-@log_options
-def command(
-    where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool, as_json: bool
-) -> None:
+@log_and_json
+def command(where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool) -> None:
     """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
     checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the
     lab's public key, anybody can check the file without network and without the lab:
@@ -64,7 +51,7 @@ def command(
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    report(f"{message}, proven by the checkpoint of size {about.size}.", about, as_json=as_json)
+    where.report(f"{message}, proven by the checkpoint of size {about.size}.", about)
 
 
 def make_bundle_of(

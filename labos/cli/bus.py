@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import address_option, home_option, pki_option
+from labos.cli._options import address_option, folder_option, home_option, pki_option
 
 if TYPE_CHECKING:
     from labos.bootstrap import Guard
@@ -28,10 +28,8 @@ LISTEN = "127.0.0.1:7447"
     is_flag=True,
     help="Use TLS and certificates: each node and kernel can send only its own messages.",
 )
-@click.option(
+@folder_option(
     "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="The folder of this bus (`labos pki issue bus`), if the certificate authority is elsewhere.",
 )
 @address_option

@@ -6,7 +6,6 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
-from labos.cli._out import show_json
 
 DAYS = 7
 
@@ -49,8 +48,6 @@ def command(target: str, day: str | None, days: int, zone: str | None, ical: boo
         end = monday + timedelta(days=days)
         since, until = (int(at.timestamp()) * SECOND_NS for at in (monday, end))
         found = client.calendar(since, until, target)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     for line in list_week(found["times"], monday, days, where):
         click.echo(line)

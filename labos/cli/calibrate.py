@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import Asker, asker_options, why_option
+from labos.cli._options import Asker, asker_options, file_option, why_option
 from labos.errors import BadInput
 
 
@@ -21,13 +21,7 @@ from labos.errors import BadInput
     help="The calibrated quantity, such as `volume`; otherwise the whole module.",
 )
 @click.option("--certificate", default="", metavar="TEXT", help="The certificate's number.")
-@click.option(
-    "--file",
-    "report",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="REPORT",
-    help="The report; it is stored with the lab's files.",
-)
+@file_option("--file", "report", metavar="REPORT", help="The report; it is stored with the lab's files.")
 @click.option("--until", default="", metavar="DATE", help="The last day on which it is valid: 2027-01-01.")
 @why_option()
 @asker_options

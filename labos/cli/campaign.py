@@ -16,12 +16,11 @@ from labos.cli._options import (
     Asker,
     all_option,
     asker_options,
-    json_option,
     propose_option,
     why_option,
 )
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, log_options, open_log
+from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
 from labos.services.campaigns import (
@@ -67,9 +66,7 @@ def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
     submitted."""
     with asker.lab() as client:
         answer = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
-    if asker.as_json:
-        show_json(answer)
-        return
+    asker.end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     click.echo(answer["campaign"])
@@ -90,9 +87,7 @@ def plan(file: str, asker: Asker) -> None:
     with asker.lab() as client:
         answer = client.forecast_campaign(file, user=asker.user)
     estimate, forecast = answer["estimate"], answer["forecast"]
-    if asker.as_json:
-        show_json({**estimate, "forecast": forecast})
-        return
+    asker.end_with_json({**estimate, "forecast": forecast})
     checked = (
         "" if estimate["checked"] == estimate["rows"] else f" ({estimate['checked']} of them were checked)"
     )
@@ -120,9 +115,8 @@ def plan(file: str, asker: Asker) -> None:
 @command.command("list")
 @all_option
 @click.option("--archived", is_flag=True, help="Show archived campaigns too.")
-@json_option
-@log_options
-def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None:
+@log_and_json
+def list_(where: Where, everything: bool, archived: bool) -> None:
     """List open campaigns and the last completed ones, without archived campaigns and private campaigns of
     other users."""
     with open_log(where) as store:
@@ -131,9 +125,7 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
     ended = [story.campaign.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in stories if story.campaign.id not in hidden]
-    if as_json:
-        show_json([_make_plain(story) for story in shown])
-        return
+    where.end_with_json([_make_plain(story) for story in shown])
     titles = ("id", "name", "user", "status", "rows", "submitted", "took")
     show_table(titles, [_row(story) for story in shown])
     if hidden:
@@ -142,16 +134,13 @@ def list_(where: Where, everything: bool, archived: bool, as_json: bool) -> None
 
 @command.command("show")
 @_campaign
-@json_option
-@log_options
-def show(where: Where, campaign: str, as_json: bool) -> None:
+@log_and_json
+def show(where: Where, campaign: str) -> None:
     """Show the progress and the terms of a campaign. If the lab is running, show also when the campaign is
     expected to end (not with --json: use `labos forecast`)."""
     with open_log(where) as store:
         story = read_campaign_history(store, campaign)
-    if as_json:
-        show_json(_make_plain(story))
-        return
+    where.end_with_json(_make_plain(story))
     found, terms = story.campaign, story.campaign.terms
     budget = terms.budget
     lines = {
@@ -182,15 +171,12 @@ def show(where: Where, campaign: str, as_json: bool) -> None:
 @command.command("report")
 @_campaign
 @click.option("--csv", "as_csv", is_flag=True, help="CSV, for spreadsheets.")
-@json_option
-@log_options
-def report(where: Where, campaign: str, as_csv: bool, as_json: bool) -> None:
+@log_and_json
+def report(where: Where, campaign: str, as_csv: bool) -> None:
     """Show the rows of a campaign with their values, runs and results."""
     with open_log(where) as store:
         rows = list_campaign_rows(store, campaign)
-    if as_json:
-        show_json(rows)
-        return
+    where.end_with_json(rows)
     values = [_flatten_table(row.payload) for row in rows]
     results = [_flatten_table(row.results) for row in rows]
     keys = list(dict.fromkeys(key for row in values for key in row))
@@ -296,9 +282,7 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
     """
     with asker.lab() as client:
         answer = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
-    if asker.as_json:
-        show_json(answer)
-        return
+    asker.end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     estimate = answer["estimate"]

@@ -7,7 +7,7 @@ import threading
 import click
 
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_database
+from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
 from labos.services.trust.keys import read_given_keys
@@ -61,8 +61,7 @@ POLL_S = 2.0
     metavar="SECONDS",
     help="With --follow: write a checkpoint after this time at the latest, if there is a new event.",
 )
-@json_option
-@log_options
+@log_and_json
 def command(
     where: Where,
     places: tuple[str, ...],
@@ -72,7 +71,6 @@ def command(
     follow: bool,
     every: int,
     seconds: float,
-    as_json: bool,
 ) -> None:
     """Sign the root of the Merkle tree over the log, and store this checkpoint. Choose a place without write
     access for users of the database. The lab may run meanwhile and is not slowed down. LabOS does not sign
@@ -90,11 +88,11 @@ def command(
     """
     targets = Targets(places, witnesses, tuple(read_given_keys(witness_keys)), stamp)
     if follow:
-        _follow(where, targets, every, seconds, as_json)
+        _follow(where, targets, every, seconds, where.as_json)
         return
     with open_database(where) as store:
         made = publish(store, where.home, targets)
-    _report_checkpoint(made, as_json)
+    _report_checkpoint(made, where.as_json)
     if made.faults:
         click.get_current_context().exit(1)
 

@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import report, show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.cli._out import show_json
+from labos.cli._query import Where, log_and_json, log_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
@@ -40,14 +40,13 @@ def command() -> None:
 
 
 @command.command("status")
-@json_option
-@log_options
-def status(where: Where, as_json: bool) -> None:
+@log_and_json
+def status(where: Where) -> None:
     """Show revision, size, end of the log, and whether a kernel runs. Exit code 1 if this version of LabOS
     cannot use the database as it is."""
     found = read_database_status(where.url)
     facts = _list_facts(where, found)
-    if as_json:
+    if where.as_json:
         show_json(facts)
     else:
         click.echo(f"{found.name}: {_describe_status(found)}")
@@ -64,15 +63,14 @@ def status(where: Where, as_json: bool) -> None:
 
 
 @command.command("upgrade")
-@json_option
-@log_options
-def upgrade(where: Where, as_json: bool) -> None:
+@log_and_json
+def upgrade(where: Where) -> None:
     """Upgrade an older or empty database to this version of LabOS. The command is refused while a kernel
     runs. It never changes a database of a newer LabOS."""
     found = read_database_status(where.url)
     if found.state == "current":
         message = f"The {found.name} is already at revision {found.revision}."
-        report(message, {"before": found.revision, "revision": found.revision}, as_json=as_json)
+        where.report(message, {"before": found.revision, "revision": found.revision})
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -85,13 +83,12 @@ def upgrade(where: Where, as_json: bool) -> None:
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
-    report(message, {"before": found.revision, "revision": revision}, as_json=as_json)
+    where.report(message, {"before": found.revision, "revision": revision})
 
 
 @command.command("restored")
-@json_option
-@log_options
-def record_restored(where: Where, as_json: bool) -> None:
+@log_and_json
+def record_restored(where: Where) -> None:
     """Record that this database was restored from a copy that another program than labos backup made. The
     next kernel has a higher epoch than the nodes have ever seen. It starts no action until a person has
     checked the bench (labos bench round). The former end of the log no longer counts. The command is
@@ -102,7 +99,7 @@ def record_restored(where: Where, as_json: bool) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     message = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    report(message, {"before": before, "above": after}, as_json=as_json)
+    where.report(message, {"before": before, "above": after})
 
 
 @command.command("writer")
@@ -120,9 +117,8 @@ def writer(where: Where, role: str) -> None:
 
 
 @command.command("scrub")
-@json_option
-@log_options
-def scrub(where: Where, as_json: bool) -> None:
+@log_and_json
+def scrub(where: Where) -> None:
     """Remove all traces of erased texts from the database's files. `labos erase` does this itself. Use this
     command if `labos erase` reports that traces are left. On PostgreSQL it rewrites the table of texts. The
     owner's URL always has the right to do this (--database). The lab may run. Exit code 1 if traces are
@@ -133,18 +129,17 @@ def scrub(where: Where, as_json: bool) -> None:
     """
     left = scrub_words(where.url)
     message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    report(message, {"left": left}, as_json=as_json)
+    where.report(message, {"left": left})
     if left:
         click.get_current_context().exit(1)
 
 
 @command.command("url")
-@json_option
-@log_options
-def url(where: Where, as_json: bool) -> None:
+@log_and_json
+def url(where: Where) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
-    report(show_url(where.url), {"url": show_url(where.url)}, as_json=as_json)
+    where.report(show_url(where.url), {"url": show_url(where.url)})
 
 
 def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:

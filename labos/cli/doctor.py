@@ -12,7 +12,7 @@ import click
 
 from labos.cli._exit import FAILED
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
@@ -44,9 +44,8 @@ LONG_AGO_S = 7 * 86_400.0
 
 
 @click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
-@json_option
-@log_options
-def command(where: Where, as_json: bool) -> None:
+@log_and_json
+def command(where: Where) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
     calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with
     and without a running kernel. Exit code 1 if there is a fault.
@@ -57,7 +56,7 @@ def command(where: Where, as_json: bool) -> None:
     labos doctor --home /var/lib/labos/lab
     """
     found = list(_examine(where))
-    if as_json:
+    if where.as_json:
         show_json({"well": not _count_faults(found), "findings": found})
     else:
         for finding in found:

@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json, show_json
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -124,9 +124,7 @@ def new_command(name: str, as_json: bool) -> None:
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    if as_json:
-        show_json({"written": [str(path) for path in files]})
-        return
+    end_with_json({"written": [str(path) for path in files]}, as_json)
     for path in files:
         click.echo(f"wrote {path}")
     click.echo("Next:")

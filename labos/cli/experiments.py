@@ -5,18 +5,17 @@ from __future__ import annotations
 import click
 
 from labos.cli._liveness import say_if_dead
-from labos.cli._options import ENDED_SHOWN, all_option, json_option
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, log_options, open_log
+from labos.cli._options import ENDED_SHOWN, all_option
+from labos.cli._out import show_table
+from labos.cli._query import Where, log_and_json, open_log
 from labos.services.experiments import ExperimentHistory, list_experiment_histories
 from labos.services.times import show_span, show_time
 
 
 @click.command("experiments", short_help="List experiments.")
 @all_option
-@json_option
-@log_options
-def command(where: Where, everything: bool, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, everything: bool) -> None:
     """List open experiments and the last ones that ended.
 
     \b
@@ -31,9 +30,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
     ended = [story.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in stories if story.id not in hidden]
-    if as_json:
-        show_json(shown)
-        return
+    where.end_with_json(shown)
     show_table(("id", "name", "user", "status", "runs", "started", "took"), [_row(story) for story in shown])
     if hidden:
         click.echo(f"{len(hidden)} more experiments have ended: labos experiments --all")

@@ -7,8 +7,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, say_if_dead
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
 from labos.core.interventions import Intervention
@@ -25,9 +24,8 @@ from labos.services.waits import list_reasons
 
 @click.command("explain", short_help="Explain why a run is waiting.")
 @click.argument("run", shell_complete=make_completer("run", "experiment"), metavar="RUN|EXPERIMENT")
-@json_option
-@log_options
-def command(where: Where, run: str, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, run: str) -> None:
     """Explain why RUN waits now, and show what it has done so far. For an EXPERIMENT, do so for each of its
     open runs.
 
@@ -50,9 +48,7 @@ def command(where: Where, run: str, as_json: bool) -> None:
     runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
-    if as_json:
-        show_json({"experiment": inside, "runs": runs} if inside else runs[0])
-        return
+    where.end_with_json({"experiment": inside, "runs": runs} if inside else runs[0])
     if inside:
         why = f" ({inside.why})" if inside.why else ""
         click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")

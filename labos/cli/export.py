@@ -19,8 +19,16 @@ from labos.audit.sinks import JsonLines, Sink
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
-from labos.cli._out import report
-from labos.cli._query import Where, as_moment, json_option, log_options, now_ns, open_contents, open_log
+from labos.cli._options import file_option
+from labos.cli._query import (
+    Where,
+    as_moment,
+    log_and_json,
+    log_options,
+    now_ns,
+    open_contents,
+    open_log,
+)
 from labos.cli.bundle import make_bundle_of
 from labos.errors import BadInput, SystemFailed
 from labos.ports import LogQuery
@@ -64,23 +72,9 @@ def command() -> None:
 )
 @click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
 @click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
-@click.option(
-    "--program",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The source file of the experiment's application, to add to the crate.",
-)
-@json_option
-@log_options
-def crate(
-    where: Where,
-    name: str,
-    target: Path,
-    license_: str,
-    bundle: bool,
-    program: Path | None,
-    as_json: bool,
-) -> None:
+@file_option("--program", help="The source file of the experiment's application, to add to the crate.")
+@log_and_json
+def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, program: Path | None) -> None:
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.
 
@@ -109,7 +103,7 @@ def crate(
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    report(f"{target} holds {count} in {files} files.", facts, as_json=as_json)
+    where.report(f"{target} holds {count} in {files} files.", facts)
 
 
 def _read_program(path: Path) -> Program:
@@ -180,17 +174,13 @@ def _write_zip(target: Path, files: Iterable[tuple[str, bytes]]) -> int:
     metavar="FILE|kafka://BROKER:PORT/TOPIC",
     help="Append all new events to this file or Kafka topic.",
 )
-@click.option(
+@file_option(
     "--settings",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
     help="Settings of the Kafka client, one name=value in each line: certificates, names, passwords.",
 )
-@click.option(
+@file_option(
     "--position",
     "position_file",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
     help="The file that stores the position of the topic [default: kafka-TOPIC.json in the lab's folder].",
 )
 @click.option("--with-words", is_flag=True, help="Include texts that people wrote.")
@@ -248,13 +238,7 @@ def events(
 
 
 def _carry(
-    where: Where,
-    to: str,
-    follow: bool,
-    settings: Path | None,
-    position_file: Path | None,
-    *,
-    stored: bool,
+    where: Where, to: str, follow: bool, settings: Path | None, position_file: Path | None, *, stored: bool
 ) -> None:
     """Bring a file of JSON lines or a topic up to date with the log, and continue if the export follows the
     log."""

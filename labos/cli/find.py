@@ -9,8 +9,8 @@ import msgspec
 
 from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, as_time, json_option, log_options
+from labos.cli._out import show_table
+from labos.cli._query import Where, as_time, log_and_json
 from labos.client import LabClient
 from labos.services.times import parse_time, show_time
 
@@ -19,23 +19,15 @@ KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
 
 @click.command("find", short_help="Find experiments, runs, samples, images and results by words.")
 @click.argument("words", nargs=-1)
-@click.option("--kind", "kinds", multiple=True, type=click.Choice(KIND), help="Only entries of this kind.")
-@click.option("--user", "users", multiple=True, metavar="ID", help="Only entries of this user.")
-@click.option("--workcell", "workcells", multiple=True, metavar="NAME", help="Only entries of this workcell.")
+@click.option("--kind", multiple=True, type=click.Choice(KIND), help="Only entries of this kind.")
+@click.option("--user", multiple=True, metavar="ID", help="Only entries of this user.")
+@click.option("--workcell", multiple=True, metavar="NAME", help="Only entries of this workcell.")
 @click.option(
-    "--workflow",
-    "workflows",
-    multiple=True,
-    metavar="NAME",
-    help="Only entries of this workflow or application.",
+    "--workflow", multiple=True, metavar="NAME", help="Only entries of this workflow or application."
 )
-@click.option(
-    "--experiment", "experiments", multiple=True, metavar="ID", help="Only entries of this experiment."
-)
-@click.option("--status", "statuses", multiple=True, metavar="STATUS", help="Only entries with this status.")
-@click.option(
-    "--keyword", "keywords", multiple=True, metavar="WORD", help="Only entries with this keyword or quantity."
-)
+@click.option("--experiment", multiple=True, metavar="ID", help="Only entries of this experiment.")
+@click.option("--status", multiple=True, metavar="STATUS", help="Only entries with this status.")
+@click.option("--keyword", multiple=True, metavar="WORD", help="Only entries with this keyword or quantity.")
 @click.option("--since", metavar="TIME", callback=as_time, help="Only entries from this time on.")
 @click.option("--until", metavar="TIME", callback=as_time, help="Only entries before this time.")
 @click.option("--facets", is_flag=True, help="Count the entries for each user, workcell, month ….")
@@ -49,9 +41,8 @@ KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
     help="Show the newest N entries.",
 )
 @click.option("--offset", type=click.IntRange(0), default=0, metavar="N", help="Skip the first N entries.")
-@json_option
-@log_options
-def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, **options: Any) -> None:
+@log_and_json
+def command(where: Where, words: tuple[str, ...], facets: bool, **options: Any) -> None:
     """Find entries that have all these WORDS: experiments, runs, samples, images, files, results of steps,
     and publications of applications. Without words, list all entries that match the options.
 
@@ -69,32 +60,14 @@ def command(where: Where, words: tuple[str, ...], as_json: bool, facets: bool, *
     question = SearchQuery(words=" ".join(words), since=since, until=until, facets=facets, **options)
     if where.lab:
         with LabClient(where.lab) as client:
-            found = msgspec.convert(_ask(client, question), SearchResult)
+            asked = msgspec.structs.asdict(question)
+            del asked["hidden"]  # the lab knows which campaigns the user sees
+            found = msgspec.convert(client.find(**asked), SearchResult)
     else:
         with open_log_and_views(where) as (store, asker):
             found = find(asker, question, store.head().position)
-    if as_json:
-        show_json(found)
-        return
+    where.end_with_json(found)
     _show(found, question)
-
-
-def _ask(client: LabClient, question: SearchQuery) -> dict[str, Any]:
-    return client.find(
-        question.words,
-        kind=question.kinds,
-        user=question.users,
-        workcell=question.workcells,
-        workflow=question.workflows,
-        experiment=question.experiments,
-        status=question.statuses,
-        keyword=question.keywords,
-        since=question.since,
-        until=question.until,
-        limit=question.limit,
-        offset=question.offset,
-        facets=question.facets,
-    )
 
 
 def _show(found: SearchResult, question: SearchQuery) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import click
 
 from labos.cli._options import Asker, lab_and_json
-from labos.cli._out import show_json
 
 
 @click.command("forecast", short_help="Forecast when runs start and end, and when a person is needed.")
@@ -23,9 +22,7 @@ def command(asker: Asker) -> None:
 
     with asker.lab() as client:
         answer = client.forecast()
-    if asker.as_json:
-        show_json(answer)
-        return
+    asker.end_with_json(answer)
     found = answer["forecast"]
     show_runs(found)
     for campaign in found["campaigns"]:

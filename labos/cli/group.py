@@ -56,9 +56,7 @@ def list_groups(asker: Asker) -> None:
     """List all groups, with their weights, members and roles."""
     with asker.lab() as client:
         found = client.groups()
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     rows = [
         (group["name"], f"{group['weight']:g}", ", ".join(group["members"]), describe_roles(group["roles"]))
         for group in found

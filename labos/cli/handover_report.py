@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 
 from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.cli._out import show_table
+from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.services.describe import owner_name
 from labos.services.handover import Handover, OpenRun, read_handover
 from labos.services.times import parse_time, show_span, show_time
@@ -22,9 +22,8 @@ SHIFT = "-8h"
     show_default=True,
     help="The start of the shift: 2026-05-04T06:00, -8h.",
 )
-@json_option
-@log_options
-def command(where: Where, since: str, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, since: str) -> None:
     """Write a summary of a shift: open and ended runs, open questions, labware that no run uses, resources
     that run out next, and how long the lab worked without intervention.
 
@@ -37,9 +36,7 @@ def command(where: Where, since: str, as_json: bool) -> None:
         say_if_dead(where.url, store.head())
         until = max(find_lab_now(where.url, store.head()), began)
         found = read_handover(store, began, until, kernel_runs=has_kernel(where.url))
-    if as_json:
-        show_json(found)
-        return
+    where.end_with_json(found)
     click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
     _show_runs(found)
     _show_people(found)

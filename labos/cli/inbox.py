@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import Asker, asker_options, json_option, read_result, why_option
-from labos.cli._query import Where, log_options, open_log
+from labos.cli._options import Asker, asker_options, read_result, why_option
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.topics import PlannedWork
 
 if TYPE_CHECKING:
@@ -22,9 +22,8 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="Only the work of this operator module.",
 )
-@json_option
-@log_options
-def inbox(where: Where, module: str | None, as_json: bool) -> None:
+@log_and_json
+def inbox(where: Where, module: str | None) -> None:
     """List planned work that waits for a person, the most urgent first.
 
     Each entry is a step of a run on an operator module. The run continues when a person confirms the step.
@@ -35,7 +34,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
     labos confirm I7 --why "put in upside up"
     """
     from labos.cli._liveness import say_if_dead
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import show_table
     from labos.services.interventions import list_intervention_histories
     from labos.services.times import show_time
 
@@ -47,9 +46,7 @@ def inbox(where: Where, module: str | None, as_json: bool) -> None:
         for story in sorted(stories, key=lambda story: story.due_at)
         if story.kind == PlannedWork.KIND and module in (None, story.module)
     ]
-    if as_json:
-        show_json([_as_json(story) for story in entries])
-        return
+    where.end_with_json([_as_json(story) for story in entries])
     asked = [story.id for story in stories if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No planned work waits now.")

@@ -8,8 +8,8 @@ import click
 import msgspec
 
 from labos.cli._liveness import find_lab_now, say_if_dead
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._out import show_table
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.state import LabState
 from labos.services.history import fold_state_at
 from labos.services.interventions import (
@@ -23,9 +23,8 @@ from labos.services.times import show_span, show_time
 
 @click.command("interventions", short_help="List questions of the lab to people, with possible answers.")
 @click.option("--all", "everything", is_flag=True, help="Show answered questions too: answer, user and time.")
-@json_option
-@log_options
-def command(where: Where, everything: bool, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, everything: bool) -> None:
     """List the questions that wait for a person. For each, show its time, its subject, where the labware is
     now as far as the lab knows, and all choices with their consequences and commands. The list includes
     planned work.
@@ -41,9 +40,7 @@ def command(where: Where, everything: bool, as_json: bool) -> None:
         now = find_lab_now(where.url, store.head())
         places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
     shown = [story for story in stories if everything or story.open]
-    if as_json:
-        show_json([_make_plain(story, places) for story in shown])
-        return
+    where.end_with_json([_make_plain(story, places) for story in shown])
     answered = [story for story in shown if not story.open]
     if answered:
         rows = [_row(story) for story in answered]

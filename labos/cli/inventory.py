@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import click
+import msgspec
 
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, now_ns, open_log
+from labos.cli._out import show_table
+from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.ids import local
 from labos.services.history import fold_state_at
 from labos.services.inventory import (
-    Inventory,
     ResourceLeft,
     StackLeft,
     WasteLeft,
@@ -21,9 +21,8 @@ from labos.services.times import iso_time, show_time
 
 
 @click.command("inventory", short_help="Show levels and lots of resources, and when they run out.")
-@json_option
-@log_options
-def command(where: Where, as_json: bool) -> None:
+@log_and_json
+def command(where: Where) -> None:
     """Show levels and lots of all resources, the content of stacks, the room in wastes, and when each of them
     runs out.
 
@@ -39,9 +38,7 @@ def command(where: Where, as_json: bool) -> None:
         state = fold_state_at(store)
     now = max(now_ns(), state.recorded_at)
     found = count_inventory(state, now, iso_time(now)[:10])
-    if as_json:
-        show_json({"position": state.position, "time": iso_time(now), **_make_plain(found)})
-        return
+    where.end_with_json({"position": state.position, "time": iso_time(now), **msgspec.structs.asdict(found)})
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_list_resource_cells(left) for left in found.resources],
@@ -62,15 +59,6 @@ def command(where: Where, as_json: bool) -> None:
     if first:
         name, out = first[0]
         click.echo(f"\nFirst: {_shorten_name(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
-
-
-def _make_plain(found: Inventory) -> dict[str, object]:
-    return {
-        "resources": found.resources,
-        "stacks": found.stacks,
-        "wastes": found.wastes,
-        "runs_looked_at": found.runs_looked_at,
-    }
 
 
 def _list_resource_cells(left: ResourceLeft) -> tuple[str, ...]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._out import report, show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_database
+from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
 from labos.services.trust.keys import SigningKeys
@@ -40,47 +39,40 @@ def command() -> None:
     help="The name of the key, such as chem.example.org/lab1 (default: labos/ and the id of the lab).",
 )
 @witness_option
-@json_option
-@log_options
-def create(where: Where, name: str | None, witness: bool, as_json: bool) -> None:
+@log_and_json
+def create(where: Where, name: str | None, witness: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
-    report(public.text, {"public_key": public.text, "name": public.name}, as_json=as_json)
+    where.report(public.text, {"public_key": public.text, "name": public.name})
 
 
 @command.command("show")
 @witness_option
-@json_option
-@log_options
-def show(where: Where, witness: bool, as_json: bool) -> None:
+@log_and_json
+def show(where: Where, witness: bool) -> None:
     """Print the public key. --json also shows the keys that it replaced."""
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
-        report(text, {"public_key": text}, as_json=as_json)
+        where.report(text, {"public_key": text})
         return
     known = keys.list_public_keys()
     if not known:
         raise NotFound("This lab has no key.", remedy="Make one: labos key create")
-    if as_json:
-        show_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
-    else:
-        click.echo(known[-1].text)
+    where.end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
+    click.echo(known[-1].text)
 
 
 @command.command("rotate")
-@json_option
-@log_options
-def rotate(where: Where, as_json: bool) -> None:
+@log_and_json
+def rotate(where: Where) -> None:
     """Replace the key pair. The old private key signs the new public key and is then destroyed. Bundles
     contain this signature, so a person with the old public key can still check them."""
     size = read_tree(where.home).size
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.list_public_keys()[-1]
-    if as_json:
-        show_json({"public_key": public.text, "size": size})
-        return
+    where.end_with_json({"public_key": public.text, "size": size})
     click.echo(public.text)
     click.echo(
         f"The old key signs nothing after position {size}. Give the new public key to people who "

@@ -6,7 +6,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_log
 from labos.core.ids import local
 from labos.errors import NotFound
@@ -60,9 +60,7 @@ def command(
         shown = [s for s in shown if s.barcode == barcode]
         if not shown:
             raise NotFound(f"No labware has the barcode {barcode!r}.", remedy="List it: labos labware")
-    if as_json:
-        show_json(shown)
-        return
+    end_with_json(shown, as_json)
     rows = [
         (
             s.id,

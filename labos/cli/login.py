@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
-from labos.cli._out import report, show_json
+from labos.cli._out import report
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -165,9 +165,7 @@ def whoami(asker: Asker) -> None:
 
     with asker.lab() as client:
         found = client.identity()
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     if found["how"] == "open":
         click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return

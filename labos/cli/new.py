@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from labos.cli._options import json_option
-from labos.cli._out import show_json
+from labos.cli._out import end_with_json
 from labos.errors import BadInput
 
 SKELETONS = Path(__file__).with_name("skeletons")
@@ -64,9 +64,7 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             raise BadInput(f"{file} cannot be written: {error.strerror or error}.") from None
-    if as_json:
-        show_json({"written": [str(file) for file in files]})
-        return
+    end_with_json({"written": [str(file) for file in files]}, as_json)
     for file in files:
         click.echo(f"wrote {file}")
     first = next(iter(files))

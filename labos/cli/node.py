@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
 from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
-from labos.cli._out import report, show_json
+from labos.cli._out import end_with_json, report
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
 
@@ -301,9 +301,7 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
     module = {"interface": interface, "config": config, "about": make_about(described)}
-    if as_json:
-        show_json(module)
-        return
+    end_with_json(module, as_json)
     click.echo(to_yaml(module), nl=False)
 
 

@@ -10,8 +10,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._exit import FAILED
-from labos.cli._options import json_option
-from labos.cli._query import Where, log_options, open_log, read_kernel_file
+from labos.cli._query import Where, log_and_json, open_log, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
 
@@ -31,9 +30,8 @@ REMEDIES = {
     is_flag=True,
     help="Ask each node and its device for their identity and observations.",
 )
-@json_option
-@log_options
-def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     """List the lab's modules, their states and current actions. If no kernel runs, the command shows the last
     known states.
 
@@ -48,11 +46,11 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     reports a remedy.
     """
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import show_table
     from labos.settings import find_kernel
 
     if check or modules:
-        _check(where, modules, as_json=as_json)
+        _check(where, modules, as_json=where.as_json)
         return
     if not where.lab and find_kernel(where.home) is None:
         if not where.database and not (where.home / "labos.db").exists() and not read_kernel_file(where.home):
@@ -61,9 +59,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool, as_json: bool) 
     else:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
-    if as_json:
-        show_json(known)
-        return
+    where.end_with_json(known)
     columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
     if any(map(_find_valid_until, known)):  # most labs have none
         columns.append("calibrated until")

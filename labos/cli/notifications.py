@@ -10,8 +10,8 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import report, show_json, show_table
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, json_option, log_and_json, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
@@ -66,9 +66,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
     with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
         say_if_dead(where.url, store.head(), last_known=False)
         found = [show_struct(store, delivery) for delivery in found]
-    if as_json:
-        show_json([_list_facts(delivery) for delivery in found])
-        return
+    end_with_json([_list_facts(delivery) for delivery in found], as_json)
     rows = [
         (
             delivery.contact,
@@ -86,9 +84,8 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 
 @command.command("test")
 @click.argument("contact")
-@json_option
-@log_options
-def test(where: Where, contact: str, as_json: bool) -> None:
+@log_and_json
+def test(where: Where, contact: str) -> None:
     """Send a test message to CONTACT now, also in quiet hours, and report whether it was accepted.
 
     \b
@@ -106,7 +103,7 @@ def test(where: Where, contact: str, as_json: bool) -> None:
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
-    report(text, {"contact": contact, "channel": channel, "message": message.id}, as_json=as_json)
+    where.report(text, {"contact": contact, "channel": channel, "message": message.id})
 
 
 @command.command("watch")

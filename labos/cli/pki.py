@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import click
+import msgspec
 
 from labos.cli._group import Suggesting
-from labos.cli._options import json_option, pki_option, why_option
-from labos.cli._out import report, show_json
-from labos.cli._query import Where, log_options, now_ns, open_database
+from labos.cli._options import pki_option, why_option
+from labos.cli._out import report
+from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
 from labos.services.times import show_time
@@ -57,9 +58,8 @@ def command() -> None:
 )
 @days_option
 @pki_option
-@json_option
-@log_options
-def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_json: bool) -> None:
+@log_and_json
+def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> None:
     """Create the authority. This is done once. With its private key (ca.key) a person can act as any kernel
     or node, so keep it secret. You can store it offline. It is needed only to issue, renew and revoke."""
     from socket import gethostname
@@ -69,7 +69,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_j
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
     who = "LabOS issues the certificates" if authority.issues else "the site issues the certificates"
-    report(f"{authority.folder}: {who}.", facts, as_json=as_json)
+    where.report(f"{authority.folder}: {who}.", facts)
 
 
 @command.command("issue")
@@ -79,8 +79,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None, as_j
 @days_option
 @lab_option
 @pki_option
-@json_option
-@log_options
+@log_and_json
 def issue(
     where: Where,
     kind: Any,
@@ -89,7 +88,6 @@ def issue(
     days: int | None,
     lab: str | None,
     pki: Path | None,
-    as_json: bool,
 ) -> None:
     """Issue a certificate and its key, and print their folder. Copy this folder to the computer that uses
     the certificate, over a confidential connection (scp), with the same file permissions.
@@ -106,7 +104,7 @@ def issue(
     identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
-    _report_folder(authority, entry, as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("admit")
@@ -128,17 +126,9 @@ def issue(
 )
 @lab_option
 @pki_option
-@json_option
-@log_options
+@log_and_json
 def admit(
-    where: Where,
-    kind: Any,
-    name: str,
-    certificate: Path,
-    key: Path,
-    lab: str | None,
-    pki: Path | None,
-    as_json: bool,
+    where: Where, kind: Any, name: str, certificate: Path, key: Path, lab: str | None, pki: Path | None
 ) -> None:
     """Accept a certificate that the site issued. From now on its holder acts as the KIND and NAME.
     The bus identifies the holder by the common name (CN). No other key may have the same common name.
@@ -148,20 +138,17 @@ def admit(
     """
     authority = _find_authority(where, pki)
     entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
-    _report_folder(authority, entry, as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("list")
 @pki_option
-@json_option
-@log_options
-def list_(where: Where, pki: Path | None, as_json: bool) -> None:
+@log_and_json
+def list_(where: Where, pki: Path | None) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _find_authority(where, pki)
     entries = authority.read_members().entries
-    if as_json:
-        show_json([_list_facts(authority, entry) for entry in entries])
-        return
+    where.end_with_json([_list_facts(authority, entry) for entry in entries])
     for entry in entries:
         click.echo(f"{entry.identity.shown:<28} {_describe_state(entry):<40} CN {entry.common_name}")
     if not entries:
@@ -173,33 +160,29 @@ def list_(where: Where, pki: Path | None, as_json: bool) -> None:
 @address_option
 @days_option
 @pki_option
-@json_option
-@log_options
-def renew(
-    where: Where, name: str, address: tuple[str, ...], days: int | None, pki: Path | None, as_json: bool
-) -> None:
+@log_and_json
+def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, pki: Path | None) -> None:
     """Issue a new key and certificate for NAME, with the same common name. If another computer uses them,
     copy the folder again; a node there detects the change by itself. The kernel renews its own
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
-    _report_folder(authority, entry, as_json)
+    _report_folder(authority, entry, where.as_json)
 
 
 @command.command("revoke")
 @click.argument("name")
 @why_option("The reason, for the list.", required=True)
 @pki_option
-@json_option
-@log_options
-def revoke(where: Where, name: str, why: str, pki: Path | None, as_json: bool) -> None:
+@log_and_json
+def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     """Revoke the certificate NAME. A running lab or bus refuses it within two seconds. If the bus is on
     another computer, copy its folder again. The command also writes a revocation list (crl.pem) for other
     programs. Zenoh does not read it."""
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    report(message, _list_facts(authority, entry), as_json=as_json)
+    where.report(message, _list_facts(authority, entry))
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:
@@ -241,17 +224,10 @@ def _describe_state(entry: CertificateEntry) -> str:
 
 
 def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]:
-    return {
-        "kind": entry.identity.kind,
-        "name": entry.identity.name,
-        "lab": entry.identity.lab,
-        "common_name": entry.common_name,
-        "not_after": entry.not_after,
-        "addresses": list(entry.addresses),
-        "revoked_at": entry.revoked_at,
-        "why": entry.why,
-        "folder": str(authority.credentials(entry.identity).folder),
-    }
+    found: dict[str, Any] = msgspec.to_builtins(entry)
+    for name in ("serial", "not_before", "own"):
+        del found[name]
+    return {**found.pop("identity"), **found, "folder": str(authority.credentials(entry.identity).folder)}
 
 
 def _report_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:

@@ -9,10 +9,9 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.cli._query import Where, log_options, open_log
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.lengths import Lengths
@@ -118,9 +117,8 @@ class Outline(msgspec.Struct):
     help="A workcell file, or the name of a packaged workcell, such as rpl.",
 )
 @payload_option
-@json_option
-@log_options
-def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], as_json: bool) -> None:
+@log_and_json
+def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...]) -> None:
     """Show what WORKFLOW (a file, or a packaged workflow) would do: its steps with the values of the payload,
     their modules, stations and arguments, start times, and the consumption of resources.
 
@@ -161,10 +159,8 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         click.echo(f"labos: {finding}", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
-    if as_json:
-        show_json(outline)
-    else:
-        _show_outline(outline)
+    where.end_with_json(outline)
+    _show_outline(outline)
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:

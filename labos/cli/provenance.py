@@ -7,7 +7,7 @@ import click
 from labos.audit._facts import describe_entity
 from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity, Graph, ProvenancePart
-from labos.audit.provenance import MOST_LINKS, make_plain, subject_of, trace
+from labos.audit.provenance import MOST_LINKS, subject_of, trace
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options
@@ -65,7 +65,7 @@ def command(
         graph = trace(asker, entity, upto, "down" if direction == "down" else "up", most)
         lab = store.head().lab
     if as_json:
-        show_json(make_plain(graph))
+        show_json(graph)
     elif as_prov_json:
         click.echo(as_prov(graph, lab))
     elif as_graphviz:

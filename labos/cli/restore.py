@@ -8,8 +8,14 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, now_ns, open_database, read_kernel_file
+from labos.cli._options import file_option
+from labos.cli._query import (
+    Where,
+    log_and_json,
+    now_ns,
+    open_database,
+    read_kernel_file,
+)
 from labos.cli._rehearse import rehearse
 from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
@@ -71,18 +77,15 @@ class Restored(msgspec.Struct, frozen=True):
     metavar="DIR",
     help="With --rehearse: a folder with room for a copy of the log (default: that for temporary files).",
 )
-@click.option(
+@file_option(
     "--erased",
     "lists",
-    type=click.Path(path_type=Path, dir_okay=False),
     multiple=True,
-    metavar="FILE",
     help="A list of erasures (labos.erased) besides the one in the lab's folder.",
 )
 @archive_option
 @key_option
-@json_option
-@log_options
+@log_and_json
 def command(
     where: Where,
     folder: Path,
@@ -91,7 +94,6 @@ def command(
     lists: tuple[Path, ...],
     archive: Path | None,
     key_file: Path | None,
-    as_json: bool,
 ) -> None:
     """Restore the backup in FOLDER: the log into the lab's database, which must be empty, and the blobs into
     the lab's folder. A backup of SQLite can be restored to PostgreSQL, and the reverse.
@@ -122,13 +124,13 @@ def command(
             own = FolderBlobs(place.home / "blobs")  # the folder where the lab stores its own
             return put_back(place, folder, key, own, known, archive)
 
-        rehearse(where, folder, try_it, scratch, as_json=as_json)
+        rehearse(where, folder, try_it, scratch, as_json=where.as_json)
         return
     # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
-    if as_json:
-        show_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
-        return
+    where.end_with_json(
+        {name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"}
+    )
     click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
     if done.users:

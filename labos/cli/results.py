@@ -9,7 +9,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
 from labos.services.history import find_position_at
 from labos.services.results import COLUMNS, read_readings
@@ -42,9 +42,8 @@ def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: 
         if moment == Moment():
             say_if_dead(where.url, store.head(), last_known=False)
         found = read_readings(store, blobs, run, find_position_at(store, moment))
-    if as_json:
-        show_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()])
-    elif as_csv or file is not None:
+    end_with_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()], as_json)
+    if as_csv or file is not None:
         found.to_csv(file or sys.stdout)
     elif found:
         show_table(COLUMNS, [tuple(map(str, row)) for row in found.rows(show_time)])

@@ -8,7 +8,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._options import json_option
+from labos.cli._options import file_option, json_option
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._specs import find_spec_path
@@ -29,12 +29,7 @@ from labos.spec.uses import read_workflow
 @click.option(
     "--map", "maps", multiple=True, metavar="OLD=NEW", help="A module, and the module that replaces it."
 )
-@click.option(
-    "--output",
-    "-o",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="The file to write (WORKFLOW_TO.yaml).",
-)
+@file_option("--output", "-o", help="The file to write (WORKFLOW_TO.yaml).")
 @click.option("--force", is_flag=True, help="Overwrite an existing file.")
 @payload_option
 @json_option

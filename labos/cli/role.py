@@ -66,9 +66,9 @@ def list_roles(asker: Asker) -> None:
     held = [(user_subject(user["id"]), user["roles"]) for user in users]
     held += [(group_subject(group["name"]), group["roles"]) for group in groups]
     grants = [(subject, scope, role) for subject, roles in held for scope, role in roles.items()]
-    if asker.as_json:
-        show_json([{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants])
-        return
+    asker.end_with_json(
+        [{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants]
+    )
     rows = [
         (role, subject.removeprefix(user_subject("")), "the whole lab" if scope == WHOLE_LAB else scope)
         for subject, scope, role in grants

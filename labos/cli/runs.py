@@ -9,10 +9,10 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
-from labos.cli._options import ENDED_SHOWN, all_option, json_option
+from labos.cli._options import ENDED_SHOWN, all_option
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import show_json, show_parts, show_table
-from labos.cli._query import Where, log_options, open_log
+from labos.cli._out import show_parts, show_table
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.ids import local
 from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
@@ -34,9 +34,8 @@ WAITS_TOLD = 50
     "run", shell_complete=make_completer("run", "experiment"), metavar="[RUN|EXPERIMENT]", required=False
 )
 @all_option
-@json_option
-@log_options
-def command(where: Where, run: str | None, everything: bool, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, run: str | None, everything: bool) -> None:
     """List open runs and the last ones that ended. With RUN, list its steps. With EXPERIMENT, list all its
     runs.
 
@@ -59,14 +58,13 @@ def command(where: Where, run: str | None, everything: bool, as_json: bool) -> N
         waits = _find_waits(store, stories, now, KernelWaits(where) if lives else None)
         due = _find_due(store, stories, now, where)
     if run and inside is None:
-        show_json(_make_plain(stories[run], waits, due)) if as_json else _show_one(stories[run], waits, due)
+        where.end_with_json(_make_plain(stories[run], waits, due))
+        _show_one(stories[run], waits, due)
         return
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
-    if as_json:
-        show_json([_make_plain(story, waits, due) for story in shown])
-        return
+    where.end_with_json([_make_plain(story, waits, due) for story in shown])
     dated = any(story.due_at for story in shown)
     columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
     rows = [_row(story, now, waits, due, dated=dated) for story in shown]

@@ -12,7 +12,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._liveness import say_if_dead
 from labos.cli._options import Asker, asker_options
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
 from labos.core.wells import parse_well
 from labos.errors import NotFound
@@ -61,9 +61,7 @@ def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> 
     """
     with asker.lab() as client:
         found = client.load_samples(sheet, asker.user, labware=plate, station=station, replace=replace)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     for name, count in found.items():
         click.echo(f"{name} holds {count} samples.")
 
@@ -92,9 +90,8 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
         )
     last = found[-1]
     in_order = sorted(last.samples, key=lambda item: parse_well(item.well))
-    if as_json:
-        show_json(_list_facts(last, len(found)))
-    elif as_csv:
+    end_with_json(_list_facts(last, len(found)), as_json)
+    if as_csv:
         out = csv.writer(sys.stdout, lineterminator="\n")
         out.writerow(("plate", "well", "sample", "volume", "unit"))
         for item in in_order:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from labos.cli._options import find_user, json_option, user_option
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, log_options, now_ns, open_log
+from labos.cli._options import find_user, user_option
+from labos.cli._out import show_table
+from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
 from labos.services.log import fold_to
@@ -18,9 +18,8 @@ from labos.services.shares import ShareAccount, make_ledger
 @click.command("shares", short_help="Show or set each user's share of the lab time.")
 @click.option("--apply", "file", metavar="FILE", help="Set weights and quotas from this file.")
 @user_option
-@json_option
-@log_options
-def command(where: Where, file: str | None, user: str | None, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, file: str | None, user: str | None) -> None:
     """Show the ledger of lab time: each user's share by weight, and the used share.
 
     Used time has a half-life of one day: after a day it counts half. Hours are those of the last seven
@@ -37,9 +36,7 @@ def command(where: Where, file: str | None, user: str | None, as_json: bool) -> 
             client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:
         accounts = make_ledger(fold_to(store, store.head().position), now_ns())
-    if as_json:
-        show_json(accounts)
-        return
+    where.end_with_json(accounts)
     titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 

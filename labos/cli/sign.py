@@ -9,8 +9,8 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import why_option
-from labos.cli._out import report, show_json
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._out import show_json
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
 from labos.services.signatures import Signature, find_kind, list_signatures_under
@@ -20,9 +20,8 @@ from labos.services.signatures import Signature, find_kind, list_signatures_unde
 @click.argument("subject", metavar="ID", shell_complete=make_completer("run", "experiment"))
 @click.option("--meaning", type=click.Choice(MEANINGS), help="The meaning of the signature.")
 @why_option("A comment, for the log.")
-@json_option
-@log_options
-def command(where: Where, subject: str, meaning: str | None, why: str, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
     """Sign the record of an ended run, experiment or campaign. The command asks for your password again.
 
     The signature is an event with user, time, meaning, and the digest of all records of the run. So it is
@@ -43,7 +42,7 @@ def command(where: Where, subject: str, meaning: str | None, why: str, as_json: 
         if meaning is None:
             if why:
                 raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-            _show(subject, list_signatures_under(log, subject), as_json=as_json)
+            _show(subject, list_signatures_under(log, subject), as_json=where.as_json)
             return
         kind = find_kind(log, subject)
     with need_lab_of(where) as client:
@@ -54,7 +53,7 @@ def command(where: Where, subject: str, meaning: str | None, why: str, as_json: 
             "campaign": client.sign_campaign,
         }[kind]
         signature = sign(subject, meaning, ask_password(f"Password of {user}"), why=why)
-    report(_line(signature), signature, as_json=as_json)
+    where.report(_line(signature), signature)
 
 
 def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:

@@ -13,9 +13,10 @@ from typing import Any
 import click
 import msgspec
 
-from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection
+from labos.audit.query import TIME_LIMIT_S, QueryResult, ReadConnection, open_asker
 from labos.audit.tables import VIEWS, list_view_columns
-from labos.cli._audit import open_views, open_views_as_is
+from labos.cli._audit import open_views
+from labos.cli._options import file_option
 from labos.cli._out import show_table
 from labos.cli._query import Where, log_options
 from labos.errors import BadInput, LabosError
@@ -30,12 +31,7 @@ PROMPT, GOES_ON = "labos> ", "   ... "
 @click.argument("query", required=False)
 @click.option("--csv", "as_csv", is_flag=True, help="CSV, with column names in the first line.")
 @click.option("--json", "as_json", is_flag=True, help="JSON, for programs: one object for each line.")
-@click.option(
-    "--parquet",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Write a Parquet file (extra `parquet`).",
-)
+@file_option("--parquet", help="Write a Parquet file (extra `parquet`).")
 @click.option("--views", is_flag=True, help="List the views and their columns.")
 @click.option(
     "--as-is",
@@ -77,7 +73,7 @@ def command(
     if views:
         _show_views()
         return
-    with open_views_as_is(where, limit_s) if as_is else open_views(where, limit_s) as asker:
+    with open_asker(where.url, limit_s) if as_is else open_views(where, limit_s) as asker:
         if query is None and sys.stdin.isatty():
             _converse(asker)
             return

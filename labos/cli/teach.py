@@ -57,12 +57,10 @@ def locations(module: str, asker: Asker) -> None:
     \b
     labos locations pf400
     """
-    from labos.cli._out import show_json, show_table
+    from labos.cli._out import show_table
 
     found = _find_locations(module, asker.home)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     rows = [
         (name, kind, at)
         for name, own in found.items()

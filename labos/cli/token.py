@@ -6,7 +6,6 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, lab_and_json
-from labos.cli._out import show_json
 
 
 @click.group("token", cls=Suggesting)
@@ -54,9 +53,7 @@ def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None
 
     with asker.lab() as client:
         made = client.make_token(label, scope=scope, days=days, user=user)
-    if asker.as_json:
-        show_json(made)
-        return
+    asker.end_with_json(made)
     token = made["token"]
     until = iso_time(token["expires_at"])[:16]
     click.echo(
@@ -77,9 +74,7 @@ def list_(user: str, asker: Asker) -> None:
 
     with asker.lab() as client:
         tokens = client.tokens(user)
-    if asker.as_json:
-        show_json(tokens)
-        return
+    asker.end_with_json(tokens)
 
     def when(time: int) -> str:
         return iso_time(time)[:16] if time else ""

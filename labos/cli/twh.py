@@ -7,7 +7,7 @@ import click
 from labos.cli._complete import name_option
 from labos.cli._liveness import find_lab_now, say_if_dead
 from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, json_option, log_options, open_log
+from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._why import make_plain_twh, show_why, why_as_json
 from labos.errors import NotFound
 from labos.services.losses import sum_losses
@@ -24,9 +24,8 @@ RUNS_SHOWN = 20
 @click.option(
     "--losses", is_flag=True, help="Show the causes of lost time, and when a person is needed next."
 )
-@json_option
-@log_options
-def command(where: Where, run: str, experiment: str, workcell: str, losses: bool, as_json: bool) -> None:
+@log_and_json
+def command(where: Where, run: str, experiment: str, workcell: str, losses: bool) -> None:
     """Show the time without human intervention (TWH) of the lab, its workcells, experiments and runs.
 
     \b
@@ -45,8 +44,8 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
         report = found.twh if found is not None else measure(store.read(), now)
     shown = choose_scopes(report, run, experiment, workcell)
     if found is not None:
-        (why_as_json if as_json else show_why)(found, shown)
-    elif as_json:
+        (why_as_json if where.as_json else show_why)(found, shown)
+    elif where.as_json:
         show_json({"pace": report.pace, "scopes": [make_plain_twh(twh) for twh in shown]})
     else:
         _show(report, shown)

@@ -12,6 +12,7 @@ from labos.cli._complete import make_completer
 from labos.cli._options import (
     address_option,
     database_option,
+    folder_option,
     home_option,
     pki_option,
     speed_option,
@@ -75,11 +76,8 @@ NO_USERS = (
     default=None,
     help="TLS and certificates on the bus, which are made if there are none (default: as at the last start).",
 )
-@click.option(
-    "--cert",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="The kernel's own certificate, if the lab's certificate authority is elsewhere.",
+@folder_option(
+    "--cert", help="The kernel's own certificate, if the lab's certificate authority is elsewhere."
 )
 @address_option
 @pki_option

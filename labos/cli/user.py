@@ -64,9 +64,7 @@ def add(
         if person or mail:
             client.set_person(name, name=person, mail=mail)
         found = client.user(name)
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     if is_first:
         click.echo(f"{name} is the admin of this lab. From now on only its users have access.")
     else:
@@ -82,9 +80,7 @@ def list_users(asker: Asker) -> None:
     """List all users, with their groups and roles."""
     with asker.lab() as client:
         found = client.users()
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
     if not found:
         click.echo("There are no users: everybody with network access to this lab has all rights.", err=True)
@@ -99,9 +95,7 @@ def show(name: str, asker: Asker) -> None:
         found = client.user(name)
         groups = {group["name"]: group for group in client.groups()}
     found["group_roles"] = groups.get(found["group"], {}).get("roles", {})
-    if asker.as_json:
-        show_json(found)
-        return
+    asker.end_with_json(found)
     lines = (
         ("id", name),
         ("kind", found["kind"] + (", disabled" if found["disabled"] else "")),

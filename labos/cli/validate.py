@@ -11,7 +11,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._out import show_json, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.cli._query import Where, json_option, log_options
+from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
@@ -64,16 +64,9 @@ class Verdict(msgspec.Struct):
 @payload_option
 @click.option("--simulate", is_flag=True, help="Files that only the real bench needs may be missing.")
 @click.option("--online", is_flag=True, help="Also ask each module's node, through the running lab.")
-@json_option
-@log_options
+@log_and_json
 def command(
-    where: Where,
-    workflow: str,
-    workcell: str,
-    payloads: tuple[str, ...],
-    simulate: bool,
-    online: bool,
-    as_json: bool,
+    where: Where, workflow: str, workcell: str, payloads: tuple[str, ...], simulate: bool, online: bool
 ) -> None:
     """Check WORKFLOW (a file, or a packaged one) against a workcell: modules, actions,
     arguments, stations, reach and grip, and labware where each step needs it. Exit code 1 if
@@ -92,12 +85,12 @@ def command(
     `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
-        _check_alone(workflow, as_json=as_json)
+        _check_alone(workflow, as_json=where.as_json)
         return
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
-    if as_json:
+    if where.as_json:
         show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
     else:
         _show_verdict(verdict, compiled)

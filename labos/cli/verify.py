@@ -11,8 +11,9 @@ from typing import NoReturn
 import click
 import msgspec
 
+from labos.cli._options import file_option, folder_option
 from labos.cli._out import show_json
-from labos.cli._query import Where, json_option, log_options, open_database
+from labos.cli._query import Where, log_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
@@ -68,22 +69,14 @@ CAVEAT = (
     is_flag=True,
     help="Check the journals of this home's nodes, and whether they know actions that the log lacks.",
 )
-@click.option(
-    "--backup",
-    "folder",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="FOLDER",
-    help="Check a backup instead of the database.",
-)
+@folder_option("--backup", "folder", help="Check a backup instead of the database.")
 @click.option(
     "--detached",
     is_flag=True,
     help="With --backup: the first segments are missing because they are kept elsewhere.",
 )
-@click.option(
+@file_option(
     "--bundle",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
     help="Check a bundle of `labos bundle` instead, offline: neither the database nor the lab is needed.",
 )
 @click.option(
@@ -100,16 +93,10 @@ CAVEAT = (
     metavar="KEY|FILE",
     help="With --bundle: require a cosignature of this witness.",
 )
-@click.option(
-    "--tsa",
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="With --bundle: check the time stamp against the certificates in this PEM file.",
-)
+@file_option("--tsa", help="With --bundle: check the time stamp against the certificates in this PEM file.")
 @archive_option
 @key_option
-@json_option
-@log_options
+@log_and_json
 def command(
     where: Where,
     file: Path | None,
@@ -123,7 +110,6 @@ def command(
     tsa: Path | None,
     archive: Path | None,
     key_file: Path | None,
-    as_json: bool,
 ) -> None:
     """Check every record of the log against the chain of hashes. Check also the data beside the log: the
     snapshot (its seal, and whether a replay of the log gives the same state), the recorded end of the log,
@@ -153,7 +139,7 @@ def command(
     if archive is not None and (folder is None or detached):
         raise click.UsageError("--archive needs --backup FOLDER, and cannot be combined with --detached.")
     if bundle is not None:
-        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), as_json)
+        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), where.as_json)
         return
     key = key_of(key_file) if key_file else b""
     signed = file if file is not None and is_signed(file) else None
@@ -161,16 +147,16 @@ def command(
         raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
         if detached:
-            _verify_detached(folder, key, as_json)
+            _verify_detached(folder, key, where.as_json)
         else:
-            _verify_backup(folder, archive, key, as_json)
+            _verify_backup(folder, archive, key, where.as_json)
         return
     # The journals first: a request is in the log before its node receives it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
         end = add_seal(make_checkpoint(store), key)
-        with _show_progress(as_json) as progress:
+        with _show_progress(where.as_json) as progress:
             damage = find_first_damage(store, progress)
         against = find_contradiction(store, seen) if seen is not None else ""
         compared = None
@@ -193,7 +179,7 @@ def command(
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
-    if as_json:
+    if where.as_json:
         show_json(
             {
                 "whole": whole,

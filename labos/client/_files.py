@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from labos.core.ids import local
 from labos.errors import BadInput, LabosError, NotFound
 
 LARGEST_FILE = 64 * 1024 * 1024
@@ -81,7 +82,7 @@ def step_text(module: str, action: str, args: Mapping[str, Any]) -> dict[str, An
 
     from labos.spec.references import iterate_texts
 
-    name = f"do {module.rpartition('/')[2]}.{action}"
+    name = f"do {local(module)}.{action}"
     step = {"name": action, "module": module, "action": action, "args": dict(args)}
     try:
         text = yaml.safe_dump({"labos": 1, "name": name, "steps": [step]}, sort_keys=False)

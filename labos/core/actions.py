@@ -9,7 +9,8 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import ActionId, ModuleName, RunId, StationName, workcell_of
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
+from labos.core.structs import make_from
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 
@@ -138,15 +139,13 @@ class ActionDiscovered(Event, frozen=True):
     the position of its request (0: not known). ``effects`` are its planned effects on labware; null if the
     journal does not have them."""
 
+    STREAM = "module"
     action: ActionId
     module: ModuleName
     name: str
     status: str
     position: int = 0
     effects: tuple[AnyEffect, ...] | None = None
-
-    def stream(self) -> str:
-        return self.module
 
 
 class ActionStatus(StrEnum):
@@ -242,23 +241,7 @@ ENDED_KEPT = 32
 
 
 def fold_action_requested(actions: Actions, event: ActionRequested, at: int, position: int) -> None:
-    actions.open[event.action] = Action(
-        id=event.action,
-        run=event.run,
-        step=event.step,
-        module=event.module,
-        attempt=event.attempt,
-        epoch=event.epoch,
-        journal=event.journal,
-        name=event.name,
-        args=event.args,
-        effects=event.effects,
-        exclusive=event.exclusive,
-        files=event.files,
-        position=position,
-        requested_at=at,
-        together=event.together,
-    )
+    actions.open[event.action] = make_from(Action, event, id=event.action, position=position, requested_at=at)
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 
 
@@ -306,6 +289,3 @@ def fold_action_evidence(actions: Actions, event: ActionEvidence, at: int) -> No
 
 def fold_action_discovered(actions: Actions, event: ActionDiscovered, at: int) -> None:
     actions.discovered[event.action] = event.module
-
-
-HANDLERS = list_handlers(globals(), Actions)

@@ -20,7 +20,22 @@ from typing import Any, Protocol, TypeVar
 
 import msgspec
 
-from labos.core.effects import Carrying, Claims, Consumes, Effect, Lid, Needs, Releases, Requires, Sets
+from labos.core.effects import (
+    AnyEffect,
+    Carrying,
+    Claims,
+    Consumes,
+    Draws,
+    Effect,
+    Lid,
+    Needs,
+    Reads,
+    Releases,
+    Replaces,
+    Requires,
+    Sets,
+    Transfers,
+)
 from labos.core.ids import StationName
 
 
@@ -155,8 +170,8 @@ def check_carrying(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
     return check_reaching(bench, what) if why is None else why
 
 
-def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
-    """Why an effect may not happen; None if it may. Other kinds of effects need room at most."""
+def check_effect(store: Store[Reason], effect: AnyEffect) -> Reason | None:
+    """Why an effect may not happen; None if it may."""
     why: Reason | None = None
     match effect:
         case Carrying():
@@ -171,6 +186,8 @@ def check_effect(store: Store[Reason], effect: Effect) -> Reason | None:
             why = store.check_setpoint(effect)
         case Consumes():
             why = store.check_amount(effect)
+        case Sets() | Replaces() | Releases() | Reads() | Transfers() | Draws():
+            pass  # they need room at most
     return check_rooms(store, effect) if why is None else why
 
 
@@ -217,6 +234,8 @@ def compute_settings_after(effects: Iterable[object]) -> ModuleSettings:
                 claims[effect.setpoint] = effect.value
             case Releases():
                 releases.append(effect.setpoint)
+            case _:
+                pass
     return (
         ModuleSettings(variables, claims, tuple(releases)) if variables or claims or releases else NOTHING_SET
     )

@@ -27,7 +27,7 @@ from labos.core.experiments import ExperimentCancelled, ExperimentClosing, Exper
 from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.open_experiments import Experiments
 from labos.core.policy import Policy, PolicyApplied
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.runs import RunEnd, RunEvent, Runs, requeue
 from labos.core.structs import make_from
 from labos.core.words import Words
@@ -61,10 +61,8 @@ class Demand(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class ApprovalEvent(Event, frozen=True):
     """``subject`` is a run, a campaign or an experiment."""
 
+    STREAM = "subject"
     subject: str
-
-    def stream(self) -> str:
-        return self.subject
 
 
 @event("approval.requested")
@@ -224,8 +222,6 @@ def fold_experiment_ended(
         approvals.alike.pop(event.experiment, None)
 
 
-HANDLERS = list_handlers(globals(), Approvals)
-
 # -- what waits ----------------------------------------------------------------------------------
 
 
@@ -251,9 +247,6 @@ def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> 
         run.priority = run.priority if event.priority is None else event.priority
 
 
-RUN_HANDLERS = list_handlers(globals(), Runs)
-
-
 def fold_approval_requested_into_campaigns(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:
     if event.kind == "campaign":
         campaigns.open[CampaignId(event.subject)].status = CampaignStatus.PROPOSED
@@ -268,9 +261,6 @@ def fold_approval_given_into_campaigns(campaigns: Campaigns, event: ApprovalGive
         note_due(campaigns, campaign)
 
 
-CAMPAIGN_HANDLERS = list_handlers(globals(), Campaigns)
-
-
 def fold_approval_requested_into_experiments(
     experiments: Experiments, event: ApprovalRequested, at: int
 ) -> None:
@@ -283,6 +273,3 @@ def fold_approval_given_into_experiments(experiments: Experiments, event: Approv
         experiment = experiments.open[ExperimentId(event.subject)]
         experiment.held = False
         experiment.priority = experiment.priority if event.priority is None else event.priority
-
-
-EXPERIMENT_HANDLERS = list_handlers(globals(), Experiments)

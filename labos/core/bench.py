@@ -48,7 +48,7 @@ from labos.core.labware import (
     WasteEmptied,
 )
 from labos.core.model import StationSpec
-from labos.core.registry import Event, list_handlers
+from labos.core.registry import Event
 from labos.core.topics import LostLabware, Unexpected
 from labos.core.wells import add_doses, draw_doses
 
@@ -370,6 +370,8 @@ def fold_intervention_requested(bench: Bench, event: InterventionRequested, at: 
             places = [place for take in takes for place in (take.source, hand, take.target)]
         case Unexpected():
             places = [event.topic.station]
+        case _:
+            pass
     if places:
         bench.searched[event.intervention] = tuple(places)
         _count_possible(bench, tuple(places))
@@ -509,6 +511,3 @@ def _remove_from_owner(bench: Bench, labware: Labware) -> None:
     del owned[labware.id]
     if not owned:
         del bench.by_owner[labware.owner]
-
-
-HANDLERS = list_handlers(globals(), Bench)

@@ -31,21 +31,14 @@ from labos.core.effects import (
     name_hand,
 )
 from labos.core.holding import find_other_holder, find_other_keeper
-from labos.core.ids import LabwareId, ModuleName, RunId, StationName, run_owner
+from labos.core.ids import LabwareId, ModuleName, RunId, StationName, module_key, run_owner, station_key
 from labos.core.model import PlanStep
 from labos.core.modules import Module, ModuleStatus
 from labos.core.resources import sum_needed
 from labos.core.runs import RunState
 from labos.core.shelves import find_free_shelf, is_in_doubt, is_taken, on_shelves
 from labos.core.state import LabState
-from labos.core.waits import (
-    Wait,
-    describe_occupants,
-    list_keys_until_free,
-    list_party,
-    module_key,
-    station_key,
-)
+from labos.core.waits import Wait, describe_occupants, list_keys_until_free, list_party
 
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
@@ -74,6 +67,8 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
                 start.check_labware(effect)
             case Requires(of="labware"):
                 wait = start.check_value(effect)
+            case _:
+                pass
         if wait is not None:
             return _make_final(wait)
         start.look_at(effect)
@@ -229,6 +224,8 @@ class StartCheck:
                 touched = {"labware": item.id}
             case Requires(of="labware") | Sets(of="labware") | Needs() | Reads() | Transfers() | Draws():
                 touched = {"labware": self.subject.id} if self.subject is not None else {}
+            case _:
+                pass
         if touched:
             effect = msgspec.structs.replace(effect, **touched)
         if item is not None:

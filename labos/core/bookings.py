@@ -6,14 +6,13 @@ when a program checks the time, or on the time zones of a computer.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 
 from labos.core.ids import ModuleName, workcell_of
 from labos.core.recurrence import DAY_NS, list_times_between
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.words import Words
 
@@ -204,7 +203,7 @@ class Booking(msgspec.Struct):
 class Bookings(msgspec.Struct):
     """``open`` are the bookings that are not over, by id. ``on`` are their ids by target, and ``now`` the
     bookings whose time it is. ``named`` counts the ids given out, ``made`` the bookings and changes, and
-    ``events`` all events about bookings."""
+    ``events`` grows with each event about one."""
 
     open: dict[str, Booking] = {}
     on: dict[str, dict[str, bool]] = {}
@@ -249,6 +248,7 @@ def fold_booking_cancelled(bookings: Bookings, event: BookingCancelled, at: int)
 
 
 def fold_booking_skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
+    bookings.events += 1
     booking = bookings.open[event.booking]
     booking.skipped = (*booking.skipped, event.begins)
     if booking.began == event.begins:
@@ -257,10 +257,12 @@ def fold_booking_skipped(bookings: Bookings, event: BookingSkipped, at: int) -> 
 
 
 def fold_booking_neared(bookings: Bookings, event: BookingNeared, at: int) -> None:
+    bookings.events += 1
     bookings.open[event.booking].neared = event.begins
 
 
 def fold_booking_began(bookings: Bookings, event: BookingBegan, at: int) -> None:
+    bookings.events += 1
     booking = bookings.open[event.booking]
     booking.began, booking.until = event.begins, event.ends
     bookings.now[event.booking] = True
@@ -273,30 +275,22 @@ def fold_booking_ended(bookings: Bookings, event: BookingEnded, at: int) -> None
     booking = bookings.open[event.booking]
     booking.began = booking.until = 0
     booking.handled = event.ends
+    bookings.events += 1
     bookings.now.pop(event.booking, None)
 
 
 def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
     bookings.made += 1
+    bookings.events += 1
     bookings.open[event.booking] = make_from(Booking, event, id=event.booking, made=bookings.made, made_at=at)
     bookings.on.setdefault(event.target, {})[event.booking] = True
 
 
 def _drop(bookings: Bookings, name: str) -> None:
+    bookings.events += 1
     booking = bookings.open.pop(name)
     names = bookings.on[booking.target]
     del names[name]
     if not names:
         del bookings.on[booking.target]
     bookings.now.pop(name, None)
-
-
-def _count(handler: Callable[[Bookings, Any, int], None]) -> Callable[[Bookings, Any, int], None]:
-    def count(bookings: Bookings, event: Any, at: int) -> None:
-        bookings.events += 1
-        handler(bookings, event, at)
-
-    return count
-
-
-HANDLERS = {kind: _count(fold) for kind, fold in list_handlers(globals(), Bookings).items()}

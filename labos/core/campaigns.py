@@ -17,7 +17,7 @@ from labos.core.conditions import holds
 from labos.core.expressions import ExpressionError
 from labos.core.ids import ActionId, CampaignId, RunId
 from labos.core.model import Condition
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import (
     REQUESTS_KEPT,
@@ -64,10 +64,8 @@ ARCHIVE = "archive"
 
 
 class CampaignEvent(Event, frozen=True):
+    STREAM = "campaign"
     campaign: CampaignId
-
-    def stream(self) -> str:
-        return self.campaign
 
 
 @event("campaign.submitted")
@@ -454,6 +452,3 @@ def note_due(campaigns: Campaigns, campaign: Campaign) -> None:
         campaigns.due[campaign.id] = True
     else:
         campaigns.due.pop(campaign.id, None)
-
-
-HANDLERS = list_handlers(globals(), Campaigns)

@@ -87,4 +87,6 @@ def fill_in(tree: Tree, values: Mapping[tuple[Any, ...], Tree]) -> Tree:
         case "chain":
             rest = tuple((sign, fill_in(part, values)) for sign, part in tree[2])
             return ("chain", fill_in(tree[1], values), rest)
+        case _:
+            pass
     return tree

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.registry import TYPES, Event, event, list_handlers
+from labos.core.registry import TYPES, Event, event
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 
 REASONS = {
@@ -103,6 +103,3 @@ def fold_asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
 
 def fold_ended(erasures: Erasures, event: ErasureRefused | WordsErased, at: int) -> None:
     erasures.open.pop(event.erasure, None)
-
-
-HANDLERS = list_handlers(globals(), Erasures)

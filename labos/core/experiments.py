@@ -10,10 +10,8 @@ from labos.core.words import Words
 
 
 class ExperimentEvent(Event, frozen=True):
+    STREAM = "experiment"
     experiment: ExperimentId
-
-    def stream(self) -> str:
-        return self.experiment
 
 
 @event("experiment.started")

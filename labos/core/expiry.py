@@ -11,12 +11,12 @@ import re
 from labos.core import reasons
 from labos.core.days import day_of
 from labos.core.effects import Consumes
-from labos.core.ids import ModuleName
+from labos.core.ids import ModuleName, module_key
 from labos.core.model import PlanStep
 from labos.core.resources import Level, Lot, sum_by_supply, sum_needed
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 
 DATE = re.compile(r"\d{4}-(0[1-9]|1[0-2])-(0[1-9]|[12]\d|3[01])")
 """A date as packs show it."""

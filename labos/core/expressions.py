@@ -86,6 +86,8 @@ def _iterate_names(tree: Tree) -> Iterator[Name]:
             parts = tree[1:]
         case "chain":
             parts = (tree[1], *(part for _, part in tree[2]))
+        case _:
+            pass
     for part in parts:
         yield from _iterate_names(part)
 
@@ -276,6 +278,8 @@ def _evaluate_tree(tree: Tree, tables: Mapping[str, Any]) -> Any:
             return -_expect_number(_evaluate_tree(tree[1], tables))
         case "row":
             return _evaluate_row(tree[1], tree[2], tables)
+        case _:
+            pass
     return _evaluate_chain(tree, tables)
 
 

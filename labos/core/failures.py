@@ -12,7 +12,6 @@ from labos.core.ids import ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.lab import KernelStarted
 from labos.core.modules import Failure, Module, ModulePutBack, Modules, NodeJoined, NodeLeft
-from labos.core.registry import list_handlers
 from labos.core.steps import StepRetried
 from labos.core.topics import DeviceWaits, PlannedWork
 
@@ -78,6 +77,3 @@ def _note_failure(module: Module, failure: Failure) -> None:
     failure.what = failure.what[:LONGEST]
     module.failures.append(failure)
     del module.failures[:-FAILURES_KEPT]
-
-
-HANDLERS = list_handlers(globals(), Modules)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import Any, get_type_hints
 
 from labos.core import (
     actions,
@@ -34,43 +34,45 @@ from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareRemoved
-from labos.core.registry import TYPES, Event
+from labos.core.registry import TYPES, Event, list_handlers
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.core.state import LabState
 
 Handler = Callable[[Any, Any, int], None]
 
-_SLICES: tuple[tuple[str, dict[Any, Any]], ...] = (
-    ("lab", lab.HANDLERS),
-    ("modules", modules.HANDLERS),
-    ("modules", failures.HANDLERS),
-    ("bench", bench.HANDLERS),
-    ("actions", actions.HANDLERS),
-    ("runs", runs.HANDLERS),
-    ("runs", steps.HANDLERS),
-    ("runs", approvals.RUN_HANDLERS),
-    ("resources", resources.HANDLERS),
-    ("interventions", interventions.HANDLERS),
-    ("experiments", open_experiments.HANDLERS),
-    ("shares", shares.HANDLERS),
-    ("campaigns", campaigns.HANDLERS),
-    ("shorter", shorter.HANDLERS),
-    ("users", users.HANDLERS),
-    ("campaigns", approvals.CAMPAIGN_HANDLERS),
-    ("experiments", approvals.EXPERIMENT_HANDLERS),
-    ("approvals", approvals.HANDLERS),
-    ("bookings", bookings.HANDLERS),
-    ("lab", repeated.HANDLERS),
-    ("lab", signatures.HANDLERS),
-    ("suggestions", suggestions.HANDLERS),
-    ("erasures", erasure.HANDLERS),
+_SLICES = (
+    (lab, "lab"),
+    (modules, "modules"),
+    (failures, "modules"),
+    (bench, "bench"),
+    (actions, "actions"),
+    (runs, "runs"),
+    (steps, "runs"),
+    (approvals, "runs"),
+    (resources, "resources"),
+    (interventions, "interventions"),
+    (open_experiments, "experiments"),
+    (shares, "shares"),
+    (campaigns, "campaigns"),
+    (shorter, "shorter"),
+    (users, "users"),
+    (approvals, "campaigns"),
+    (approvals, "experiments"),
+    (approvals, "approvals"),
+    (bookings, "bookings"),
+    (repeated, "lab"),
+    (signatures, "lab"),
+    (suggestions, "suggestions"),
+    (erasure, "erasures"),
 )
+"""The modules with functions that fold events, and the slice of the state that they change."""
 
 
 def _make_table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
     table: dict[type[Event], list[tuple[str, Handler]]] = {kind: [] for kind in TYPES.values()}
-    for name, handlers in _SLICES:
-        for kind, handler in handlers.items():
+    kinds = get_type_hints(LabState)
+    for module, name in _SLICES:
+        for kind, handler in list_handlers(vars(module), kinds[name]).items():
             table[kind].append((name, handler))
     return {kind: tuple(handlers) for kind, handlers in table.items()}
 

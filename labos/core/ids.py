@@ -37,16 +37,64 @@ def user_owner(user: str) -> Owner:
     return Owner(f"user:{user}")
 
 
-def split_owner(owner: str) -> tuple[str, str]:
-    """The kind of an owner (``run``, ``experiment``, ``user``, ``shared``, or empty) or of the subject of a
-    role (``user``, ``group``), and its id or name."""
-    kind, _, name = owner.partition(":")
+def find_owning_run(owner: str) -> RunId:
+    """The run that owns something; empty if no run does."""
+    kind, name = split_key(owner)
+    return RunId(name if kind == "run" else "")
+
+
+def module_key(module: ModuleName) -> str:
+    return f"module:{module}"
+
+
+def station_key(station: StationName) -> str:
+    return f"station:{station}"
+
+
+def deck_key(claim: str) -> str:
+    """All places of a deck that only one at a time may use."""
+    return f"deck:{claim}"
+
+
+def zone_key(zone: str) -> str:
+    return f"zone:{zone}"
+
+
+def access_key(cell: str) -> str:
+    return f"access:{cell}"
+
+
+def run_key(run: RunId) -> str:
+    return f"run:{run}"
+
+
+def split_key(key: str) -> tuple[str, str]:
+    """The kind and the name in an owner (``run``, ``experiment``, ``user``, ``shared``, or empty), in the
+    subject of a role (``user``, ``group``) or in the key of something that changes (``module``, ``station``,
+    …). Without a colon there is no name."""
+    kind, _, name = key.partition(":")
     return kind, name
+
+
+def level_key(module: ModuleName, resource: str) -> str:
+    """The level of what a module uses up."""
+    return f"{module}:{resource}"
+
+
+def split_level_key(key: str) -> tuple[ModuleName, str]:
+    """The module and what it uses up."""
+    module, _, resource = key.rpartition(":")
+    return ModuleName(module), resource
 
 
 def workcell_of(name: ModuleName | StationName) -> str:
     """The workcell in which a module or station stands."""
     return name.partition("/")[0]
+
+
+def module_of(station: StationName) -> ModuleName:
+    """The module that gives a station its name; empty if none does."""
+    return ModuleName(station.rpartition(".")[0])
 
 
 def local(name: str) -> str:

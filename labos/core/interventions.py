@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect
 from labos.core.ids import InterventionId, LabwareId
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
@@ -78,6 +78,10 @@ class Intervention(msgspec.Struct):
     overdue: bool = False
     topic: AnyTopic | None = None
 
+    def withdraw(self, why: str) -> InterventionResolved:
+        """The question is resolved without an answer."""
+        return InterventionResolved(self.id, "withdrawn", "labos", why)
+
 
 class Interventions(msgspec.Struct):
     """``open`` are the questions that wait for an answer, oldest first. ``named`` counts the ids given out;
@@ -148,6 +152,3 @@ def fold_intervention_resolved(interventions: Interventions, event: Intervention
 
 def fold_intervention_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
     interventions.open[event.intervention].overdue = True
-
-
-HANDLERS = list_handlers(globals(), Interventions)

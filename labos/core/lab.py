@@ -7,7 +7,7 @@ import msgspec
 from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
 from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, TransferWay
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.words import Words
 
 
@@ -29,10 +29,8 @@ class KernelStarted(Event, frozen=True):
 
 
 class WorkcellEvent(Event, frozen=True):
+    STREAM = "name"
     name: str
-
-    def stream(self) -> str:
-        return self.name
 
 
 @event("workcell.applied")
@@ -87,10 +85,8 @@ another increase it by one."""
 
 
 class StartsEvent(Event, frozen=True):
+    STREAM = "target"
     target: str
-
-    def stream(self) -> str:
-        return self.target
 
 
 @event("starts.paused")
@@ -179,6 +175,3 @@ def fold_starts_resumed(lab: Lab, event: StartsResumed, at: int) -> None:
 
 def fold_experiment_ended(lab: Lab, event: ExperimentEnded, at: int) -> None:
     lab.paused.pop(event.experiment, None)
-
-
-HANDLERS = list_handlers(globals(), Lab)

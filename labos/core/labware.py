@@ -22,10 +22,8 @@ class LabwareEvent(Event, frozen=True):
 
 
 class StationEvent(Event, frozen=True):
+    STREAM = "station"
     station: StationName
-
-    def stream(self) -> str:
-        return self.station
 
 
 @event("station.declared")

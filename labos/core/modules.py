@@ -23,16 +23,14 @@ from labos.core.effects import AnyEffect, find_types_at, list_places
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.lab import WorkcellApplied
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ModuleSpec
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.words import Words
 
 
 class ModuleEvent(Event, frozen=True):
+    STREAM = "module"
     module: ModuleName
-
-    def stream(self) -> str:
-        return self.module
 
 
 @event("node.joined")
@@ -508,6 +506,3 @@ def find_unproven(
         if taught is not None and not taught.proven:
             found.append((name, kind))
     return tuple(found)
-
-
-HANDLERS = list_handlers(globals(), Modules)

@@ -16,7 +16,6 @@ from labos.core.experiments import (
     ExperimentStarted,
 )
 from labos.core.ids import ExperimentId, RunId, StationName
-from labos.core.registry import list_handlers
 from labos.core.runs import REQUESTS_KEPT, RunEnd, RunSubmitted
 from labos.core.structs import make_from
 
@@ -104,6 +103,3 @@ def fold_run_ended(experiments: Experiments, event: RunEnd, at: int) -> None:
     experiment = experiments.open.get(member) if member is not None else None
     if experiment is not None:
         experiment.runs.pop(event.run, None)
-
-
-HANDLERS = list_handlers(globals(), Experiments)

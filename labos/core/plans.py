@@ -20,6 +20,7 @@ class PlanRecorded(Event, frozen=True):
     the run or experiment that needed the plan first. ``campaign``: the plan belongs only to runs of a
     campaign that not everybody may see."""
 
+    STREAM = "by"
     by: str
     plan: str
     shape: str
@@ -31,22 +32,17 @@ class PlanRecorded(Event, frozen=True):
     holds: tuple[Hold, ...] = ()
     campaign: CampaignId = CampaignId("")
 
-    def stream(self) -> str:
-        return self.by
-
 
 @event("plan.steps_recorded", schema=4)
 class PlanStepsRecorded(Event, frozen=True):
     """Steps of a plan, from index ``first``. A long plan needs several of these events."""
 
+    STREAM = "by"
     by: str
     plan: str
     first: int
     steps: tuple[PlanStep, ...]
     campaign: CampaignId = CampaignId("")
-
-    def stream(self) -> str:
-        return self.by
 
 
 class PlanState(msgspec.Struct):

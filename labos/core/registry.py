@@ -21,10 +21,12 @@ class Event(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     TYPE: ClassVar[str] = ""
     SCHEMA: ClassVar[int] = 1
+    STREAM: ClassVar[str] = ""
+    """The field with the name of the event's stream; empty for the stream of the lab."""
 
     def stream(self) -> str:
         """The stream of the event: its run, otherwise its subject."""
-        return "lab"
+        return getattr(self, self.STREAM) if self.STREAM else "lab"
 
 
 E = TypeVar("E", bound=type[Event])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from labos.core.registry import Event, event
 
 
@@ -13,16 +11,10 @@ class RequestRepeated(Event, frozen=True):
     ``cancel``, ``pause``, ``access`` …; ``subject`` is the thing that it concerns. The event's actor is the
     user who asked."""
 
+    STREAM = "subject"
     subject: str
     request: str
     why: str
-
-    def stream(self) -> str:
-        return self.subject
-
-
-HANDLERS: dict[Any, Any] = {}
-"""The state does not depend on it."""
 
 
 def record_repeat(subject: str, request: str, why: str) -> list[Event]:

@@ -7,10 +7,10 @@ from collections.abc import Iterable
 import msgspec
 
 from labos.core.effects import AnyEffect, Consumes, Replaces
-from labos.core.ids import ModuleName, RunId
+from labos.core.ids import ModuleName, RunId, level_key
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleEvent
-from labos.core.registry import event, list_handlers
+from labos.core.registry import event
 
 
 @event("resource.level_set")
@@ -74,7 +74,7 @@ class Resources(msgspec.Struct):
 
     def find(self, module: ModuleName, resource: str) -> Level | None:
         """The level of a resource; None if it was never declared."""
-        return self.levels.get(f"{module}:{resource}")
+        return self.levels.get(level_key(module, resource))
 
     def find_left(self, module: ModuleName, resource: str) -> float | None:
         """The amount left; None if it was never declared."""
@@ -131,11 +131,11 @@ def list_charges(
 
 def fold_level_set(resources: Resources, event: LevelSet, at: int) -> None:
     lots = [Lot(event.lot, event.level)] if event.level else []
-    resources.levels[f"{event.module}:{event.resource}"] = Level(event.level, event.capacity, lots)
+    resources.levels[level_key(event.module, event.resource)] = Level(event.level, event.capacity, lots)
 
 
 def fold_resource_replenished(resources: Resources, event: ResourceReplenished, at: int) -> None:
-    level = resources.levels[f"{event.module}:{event.resource}"]
+    level = resources.levels[level_key(event.module, event.resource)]
     if event.instead:
         level.level = 0.0
         level.lots.clear()
@@ -156,6 +156,3 @@ def fold_resource_consumed(resources: Resources, event: ResourceConsumed, at: in
         amount -= part
         if lot.left <= 0:
             level.lots.remove(lot)
-
-
-HANDLERS = list_handlers(globals(), Resources)

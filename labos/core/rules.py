@@ -18,7 +18,17 @@ from labos.core.booked import check_not_booked
 from labos.core.effects import AnyEffect, list_places
 from labos.core.expiry import check_in_date
 from labos.core.holding import find_other_holder
-from labos.core.ids import ActionId, ModuleName, RunId, local, workcell_of
+from labos.core.ids import (
+    ActionId,
+    ModuleName,
+    RunId,
+    access_key,
+    local,
+    module_key,
+    run_key,
+    workcell_of,
+    zone_key,
+)
 from labos.core.lab import WHOLE_LAB
 from labos.core.model import MAIN, PlanStep
 from labos.core.modules import ModuleStatus
@@ -27,7 +37,7 @@ from labos.core.resources import sum_by_supply
 from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_anchor
 from labos.core.state import LabState
 from labos.core.together import check_left_out
-from labos.core.waits import Wait, access_key, list_keys_until_free, module_key, run_key, zone_key
+from labos.core.waits import Wait, list_keys_until_free
 from labos.core.watching import find_unwatched
 from labos.core.zones import find_other_at_work, find_stopped_module, find_zones
 

@@ -21,7 +21,7 @@ from labos.core.plans import (
     plan_steps_recorded,
     release_plan,
 )
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits
 from labos.core.words import Words
@@ -64,10 +64,8 @@ class Anchor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RunEvent(Event, frozen=True):
+    STREAM = "run"
     run: RunId
-
-    def stream(self) -> str:
-        return self.run
 
 
 @event("run.submitted", schema=3)
@@ -589,6 +587,3 @@ def fold_experiment_ended(runs: Runs, event: ExperimentEnded, at: int) -> None:
         cell = runs.plans[event.closing].plan.workcell
         runs.closings_in.get(cell, {}).pop(event.experiment, None)
         release_plan(runs.plans, event.closing)
-
-
-HANDLERS = list_handlers(globals(), Runs)

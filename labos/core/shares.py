@@ -6,7 +6,7 @@ import msgspec
 
 from labos.core.actions import ActionEnd, ActionRequested
 from labos.core.ids import ActionId, RunId
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.resources import ResourceConsumed
 from labos.core.runs import RunEnd, RunStarted, RunSubmitted
 from labos.core.users import GroupAdded, GroupRemoved, MemberAdded, MemberRemoved
@@ -290,6 +290,3 @@ def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> 
 def _add_consumed(week: Week, day: int, kind: str, amount: float) -> None:
     kinds = week.consumed.setdefault(day, {})
     kinds[kind] = kinds.get(kind, 0.0) + amount
-
-
-HANDLERS = list_handlers(globals(), Shares)

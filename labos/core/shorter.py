@@ -11,7 +11,7 @@ import msgspec
 from labos.core.actions import ActionDiscovered
 from labos.core.effects import AnyEffect, Move, Needs, list_places
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 from labos.core.words import Words
 
 STATIONS_PER_EVENT = 400
@@ -123,6 +123,3 @@ def fold_bench_compared(shorter: Shorter, event: BenchCompared, at: int) -> None
     fresh = Shorter(answered=shorter.answered | shorter.evidence)
     for field in fresh.__struct_fields__:
         setattr(shorter, field, getattr(fresh, field))
-
-
-HANDLERS = list_handlers(globals(), Shorter)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from labos.core.ids import RunId
 from labos.core.merkle import hash_leaf
@@ -59,10 +59,6 @@ class RecordsSigned(Event, frozen=True):
 
     def stream(self) -> str:
         return STREAM
-
-
-HANDLERS: dict[Any, Any] = {}
-"""The state does not depend on it."""
 
 
 def make_digest_of_records(envelopes: Iterable[bytes]) -> str:

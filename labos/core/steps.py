@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import RunId
-from labos.core.registry import event, list_handlers
+from labos.core.registry import event
 from labos.core.runs import (
     DONE,
     FAILED,
@@ -160,6 +160,3 @@ def _mark(runs: Runs, name: RunId, step: int, status: StepStatus) -> RunState | 
     if run is not None:
         run.steps[step].status = status
     return run
-
-
-HANDLERS = list_handlers(globals(), Runs)

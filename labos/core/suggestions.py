@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 
 MOST_STEPS = 600
 """The most steps of a suggestion."""
@@ -50,6 +50,3 @@ class Suggestions(msgspec.Struct):
 
 def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> None:
     suggestions.orders[event.workcell] = event
-
-
-HANDLERS = list_handlers(globals(), Suggestions)

@@ -10,11 +10,21 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from labos.core import reasons
-from labos.core.ids import LabwareId, ModuleName, RunId, StationName
+from labos.core.ids import (
+    LabwareId,
+    ModuleName,
+    RunId,
+    StationName,
+    find_owning_run,
+    module_key,
+    run_key,
+    run_owner,
+    station_key,
+)
 from labos.core.model import PlanStep, Together
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key, run_key, station_key
+from labos.core.waits import Wait
 
 
 def find_together(state: LabState, step: PlanStep) -> Together | None:
@@ -29,13 +39,13 @@ def list_inside(state: LabState, module: ModuleName) -> Iterator[tuple[RunId, La
     bench = state.bench
     for place in bench.by_module.get(module, ()):
         for name in bench.stations[place].labware:
-            owner = bench.labware[name].owner
-            if owner.startswith("run:"):
-                yield RunId(owner[4:]), name, place
+            run = find_owning_run(bench.labware[name].owner)
+            if run:
+                yield run, name, place
         for name in bench.lost if place in bench.uncertain_at else ():
-            item = bench.labware[name]
-            if place in item.maybe and item.owner.startswith("run:"):
-                yield RunId(item.owner[4:]), name, place
+            run = find_owning_run(bench.labware[name].owner)
+            if run and place in bench.labware[name].maybe:
+                yield run, name, place
 
 
 def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Collection[RunId]) -> Wait | None:
@@ -45,6 +55,6 @@ def check_left_out(state: LabState, run: RunState, step: PlanStep, others: Colle
         return None
     for owner, labware, place in list_inside(state, step.module):
         if owner != run.id and owner not in others:
-            why = reasons.InsideToo(str(labware), str(place), f"run:{owner}", step.action)
+            why = reasons.InsideToo(str(labware), str(place), run_owner(owner), step.action)
             return Wait(why, (station_key(place), module_key(step.module), run_key(owner)))
     return None

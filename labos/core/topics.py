@@ -75,13 +75,36 @@ def name_some(pieces: Sequence[str]) -> str:
     return f"{', '.join(pieces[:NAMED])}{more}"
 
 
-class UnknownAction(Topic, frozen=True, tag="unknown_action"):
+class ActionTopic(Topic, frozen=True):
+    """A question about an action."""
+
+    SUBJECT: ClassVar[str] = "action"
+    action: ActionId
+
+
+class Contradiction(Topic, frozen=True):
+    """A question about a station where something else was observed than the log has."""
+
+    KIND: ClassVar[str] = "contradiction"
+    SUBJECT: ClassVar[str] = "station"
+    station: StationName
+
+
+class StepTopic(Topic, frozen=True):
+    """A question about a step of a run."""
+
+    step: int
+
+    @property
+    def subject(self) -> str:
+        return f"{self.run}#{self.step}"
+
+
+class UnknownAction(ActionTopic, frozen=True, tag="unknown_action"):
     """The outcome of an action is unknown. If the action moves labware, it moves it from ``source`` to
     ``target``."""
 
     KIND: ClassVar[str] = "unknown_action"
-    SUBJECT: ClassVar[str] = "action"
-    action: ActionId
     source: StationName = StationName("")
     target: StationName = StationName("")
 
@@ -100,12 +123,10 @@ class UnknownAction(Topic, frozen=True, tag="unknown_action"):
         )
 
 
-class LostLabware(Topic, frozen=True, tag="lost_labware"):
+class LostLabware(ActionTopic, frozen=True, tag="lost_labware"):
     """A move failed part of the way: a person has to report where the labware is."""
 
     KIND: ClassVar[str] = "lost_labware"
-    SUBJECT: ClassVar[str] = "action"
-    action: ActionId
     motions: tuple[AnyEffect, ...]
 
     @property
@@ -142,32 +163,25 @@ class LeftLabware(Topic, frozen=True, tag="left_labware"):
         return self.labware
 
 
-class DiscoveredAction(Topic, frozen=True, tag="discovered_action"):
+class DiscoveredAction(ActionTopic, frozen=True, tag="discovered_action"):
     """A node's journal has an action that the log does not have. No longer used: see ``ShorterLog``."""
 
     KIND: ClassVar[str] = "discovered_action"
-    SUBJECT: ClassVar[str] = "action"
     CHOICES: ClassVar[tuple[Choice, ...]] = (Choice("checked", "The bench was compared with the record."),)
-    action: ActionId
 
 
-class LateResult(Topic, frozen=True, tag="late_result"):
+class LateResult(ActionTopic, frozen=True, tag="late_result"):
     """A node reports another outcome of an action than the log has."""
 
     KIND: ClassVar[str] = "contradiction"
-    SUBJECT: ClassVar[str] = "action"
     CHOICES: ClassVar[tuple[Choice, ...]] = (Choice("checked", "The bench was compared with the record."),)
-    action: ActionId
 
 
-class NotSeen(Topic, frozen=True, tag="not_seen"):
+class NotSeen(Contradiction, frozen=True, tag="not_seen"):
     """An observation did not find the recorded labware at a station, but labware of the type ``other_type``
     (empty: nothing)."""
 
-    KIND: ClassVar[str] = "contradiction"
-    SUBJECT: ClassVar[str] = "station"
     MOST_PIECES: ClassVar[int] = 200  # each is also stored as a motion, with its station
-    station: StationName
     labware: tuple[LabwareId, ...]
     other_type: str = ""
 
@@ -188,13 +202,10 @@ class NotSeen(Topic, frozen=True, tag="not_seen"):
         return tuple(Needs(self.station, name) for name in self.labware)
 
 
-class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
+class SeenElsewhere(Contradiction, frozen=True, tag="seen_elsewhere"):
     """Labware was recognised at a station where it should not be: by the log it stands at ``recorded``
     (empty: its place is not known), or ``others`` should stand there."""
 
-    KIND: ClassVar[str] = "contradiction"
-    SUBJECT: ClassVar[str] = "station"
-    station: StationName
     labware: LabwareId
     recorded: StationName = StationName("")
     others: tuple[LabwareId, ...] = ()
@@ -219,12 +230,9 @@ class SeenElsewhere(Topic, frozen=True, tag="seen_elsewhere"):
         return (motion, *(Needs(self.station, name) for name in self.others))
 
 
-class Unexpected(Topic, frozen=True, tag="unexpected"):
+class Unexpected(Contradiction, frozen=True, tag="unexpected"):
     """Labware stands at a station that is empty by the log. If its type is known, it can get an id."""
 
-    KIND: ClassVar[str] = "contradiction"
-    SUBJECT: ClassVar[str] = "station"
-    station: StationName
     type: str = ""
 
     @property
@@ -251,7 +259,7 @@ class LostExperiment(Topic, frozen=True, tag="lost_experiment"):
     experiment: ExperimentId
 
 
-class LateStep(Topic, frozen=True, tag="late_step"):
+class LateStep(StepTopic, frozen=True, tag="late_step"):
     """A step did not start in time, and its run waits."""
 
     KIND: ClassVar[str] = "late_step"
@@ -259,26 +267,16 @@ class LateStep(Topic, frozen=True, tag="late_step"):
         Choice("go_on", "The step starts late, as soon as it can; the run continues."),
         Choice("fail", "The run ends as failed; its labware stays where it is."),
     )
-    step: int
-
-    @property
-    def subject(self) -> str:
-        return f"{self.run}#{self.step}"
 
 
-class FailedStep(Topic, frozen=True, tag="failed_step"):
+class FailedStep(StepTopic, frozen=True, tag="failed_step"):
     """A step failed, and its workflow says that a person decides. ``done``: the effect of the step took place
     nevertheless. ``again``: the step had no effect and can be repeated."""
 
     KIND: ClassVar[str] = "failed_step"
-    step: int
     done: bool = False
     again: bool = False
     may_skip: bool = False
-
-    @property
-    def subject(self) -> str:
-        return f"{self.run}#{self.step}"
 
     @property
     def choices(self) -> tuple[Choice, ...]:
@@ -290,14 +288,12 @@ class FailedStep(Topic, frozen=True, tag="failed_step"):
         return (*choices, Choice("fail", "The run ends as failed; its labware stays where it is."))
 
 
-class Barcode(Topic, frozen=True, tag="barcode"):
+class Barcode(ActionTopic, frozen=True, tag="barcode"):
     """A barcode was read that does not belong to the labware which should stand there. It belongs to
     ``other``, which by the log stands ``elsewhere`` (both empty: no known labware has this barcode and could
     stand there)."""
 
     KIND: ClassVar[str] = "barcode"
-    SUBJECT: ClassVar[str] = "action"
-    action: ActionId
     labware: LabwareId
     station: StationName
     barcode: str
@@ -329,16 +325,14 @@ class Barcode(Topic, frozen=True, tag="barcode"):
         return (Reads(self.labware, self.station, self.barcode),)
 
 
-class PlannedWork(Topic, frozen=True, tag="planned_work"):
+class PlannedWork(ActionTopic, frozen=True, tag="planned_work"):
     """Work that a workflow assigns to a person. All other kinds ask for help."""
 
     KIND: ClassVar[str] = "planned_work"
-    SUBJECT: ClassVar[str] = "action"
     CHOICES: ClassVar[tuple[Choice, ...]] = (
         Choice("done", "It is done: the run continues."),
         Choice("not_done", "It cannot be done, and nothing was moved: the run ends."),
     )
-    action: ActionId
 
 
 class DoubtfulNode(Topic, frozen=True, tag="doubtful_node"):

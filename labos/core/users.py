@@ -11,7 +11,7 @@ from typing import Literal
 import msgspec
 
 from labos.core.lab import WHOLE_LAB
-from labos.core.registry import Event, event, list_handlers
+from labos.core.registry import Event, event
 
 Kind = Literal["person", "service"]
 """A service account is a program or an agent. It may act on behalf of a person."""
@@ -124,21 +124,17 @@ class RoleGranted(Event, frozen=True):
     """A user (``user:ID``) or all members of a group (``group:NAME``) have a role in a workcell, or in the
     whole lab (``*``). It replaces their previous role there."""
 
+    STREAM = "subject"
     subject: str
     role: Role
     scope: str = WHOLE_LAB
 
-    def stream(self) -> str:
-        return self.subject
-
 
 @event("role.revoked")
 class RoleRevoked(Event, frozen=True):
+    STREAM = "subject"
     subject: str
     scope: str = WHOLE_LAB
-
-    def stream(self) -> str:
-        return self.subject
 
 
 class User(msgspec.Struct):
@@ -211,6 +207,3 @@ def fold_role_revoked(users: Users, event: RoleRevoked, at: int) -> None:
     del scopes[event.scope]
     if not scopes:
         del users.roles[event.subject]
-
-
-HANDLERS = list_handlers(globals(), Users)

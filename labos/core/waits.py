@@ -8,12 +8,12 @@ from labos.core.bench import StationState
 from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import (
     SHARED,
-    ModuleName,
     Owner,
-    RunId,
     StationName,
     experiment_owner,
+    module_key,
     run_owner,
+    station_key,
     user_owner,
     workcell_of,
 )
@@ -44,26 +44,6 @@ class Wait(msgspec.Struct, frozen=True):
     def names(self) -> tuple[str, ...]:
         """The names in the reason."""
         return self.reason.names
-
-
-def module_key(module: ModuleName) -> str:
-    return f"module:{module}"
-
-
-def station_key(station: StationName) -> str:
-    return f"station:{station}"
-
-
-def zone_key(zone: str) -> str:
-    return f"zone:{zone}"
-
-
-def access_key(cell: str) -> str:
-    return f"access:{cell}"
-
-
-def run_key(run: RunId) -> str:
-    return f"run:{run}"
 
 
 def list_party(run: RunState) -> tuple[Owner, ...]:

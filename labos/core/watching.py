@@ -12,11 +12,11 @@ from collections.abc import Iterable
 from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.effects import AnyEffect, list_carried
-from labos.core.ids import StationName
+from labos.core.ids import StationName, module_key
 from labos.core.model import PlanStep
 from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 
 
 def list_end_stations(effects: Iterable[AnyEffect]) -> tuple[StationName, ...]:

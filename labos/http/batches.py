@@ -12,8 +12,9 @@ import msgspec
 from labos.core.decide.batches import SubmitRuns
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
-from labos.core.ids import ExperimentId, RunId
+from labos.core.ids import RunId
 from labos.core.runs import RunSubmitted
+from labos.core.structs import make_from
 from labos.core.users import find_person
 from labos.errors import BadInput
 from labos.http.placing import make_loads
@@ -46,16 +47,15 @@ async def submit_batch(
     loads = [] if known else make_loads(service, asked.place, workcell, asked.user)
     compiled = await _compile_each(service, asked, workcell, loads)
     commands = tuple(
-        SubmitRun(
-            plan=each.plan,
-            user=find_person(asked.user),
+        make_from(
+            SubmitRun,
+            asked,
             payload=payload,
-            experiment=ExperimentId(asked.experiment),
-            priority=asked.priority,
+            plan=each.plan,
+            others=each.others,
+            user=find_person(asked.user),
             pins={**service.list_pins(_text_of(asked, number), *each.plans), "request": digests[number]},
             request=keys[number],
-            propose=asked.propose,
-            others=each.others,
             due_at=due_at,
         )
         for number, (payload, each) in enumerate(zip(asked.payloads, compiled, strict=True))
@@ -96,18 +96,7 @@ async def _list_digests(service: LabService, asked: NewRuns) -> list[str]:
     """The digest of each run's request, equal to the digest of a single request for this run."""
     files = await asyncio.to_thread(digest_files, asked.workflow.files)
     return [
-        digest_of_run(
-            asked.workflow,
-            {name: files[name] for name in _text_of(asked, number).files},
-            payload,
-            asked.user,
-            asked.workcell,
-            asked.priority,
-            asked.experiment,
-            asked.place,
-            propose=asked.propose,
-            due=asked.due,
-        )
+        digest_of_run(asked, {name: files[name] for name in _text_of(asked, number).files}, payload)
         for number, payload in enumerate(asked.payloads)
     ]
 

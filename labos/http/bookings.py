@@ -8,6 +8,7 @@ import msgspec
 
 from labos.core.bookings import Booking, BookingSpan
 from labos.core.decide.bookings import NewTerms
+from labos.core.ids import split_key
 from labos.core.recurrence import DAY_NS
 from labos.core.state import LabState
 from labos.core.structs import make_from
@@ -271,10 +272,10 @@ def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewT
 
 def _find_owner(state: LabState, owner: str, by: str) -> tuple[str, str]:
     """The user or the group that the request names; the requesting user if it names none. Raises BadInput."""
-    kind, colon, name = owner.partition(":")
+    kind, name = split_key(owner)
     if not owner:
         return find_person(by), ""
-    if colon and kind in ("user", "group"):
+    if name and kind in ("user", "group"):
         return (name, "") if kind == "user" else ("", name)
     if owner in state.shares.groups:
         if owner in state.users.known:

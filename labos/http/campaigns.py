@@ -13,7 +13,7 @@ from labos.core.conditions import find_reads
 from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.policy import sum_demand
 from labos.core.decide.runs import NOBODYS
-from labos.core.ids import CampaignId
+from labos.core.ids import CampaignId, split_level_key, workcell_of
 from labos.core.model import Plan
 from labos.core.state import LabState
 from labos.core.structs import make_from
@@ -152,7 +152,7 @@ async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Esti
     content, deadline, workcell, checked = await _read(service, new)
     estimate = _estimate(service, content, workcell, checked)
     command = _command(new, content, estimate, checked, deadline)
-    return estimate, await service.forecasts.forecast_campaign(command, checked.rows, new.user)
+    return estimate, await service.forecasts.forecast(command, new.user, checked.rows)
 
 
 async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
@@ -353,11 +353,8 @@ def _estimate(
 def find_left(service: LabService, workcell: str, kind: str) -> float | None:
     """The rest of a consumable in all modules of a workcell."""
     levels = service.kernel.state.resources.levels
-    found = [
-        level.level
-        for name, level in levels.items()
-        if name.startswith(f"{workcell}/") and name.rpartition(":")[2] == kind
-    ]
+    known = ((*split_level_key(name), level.level) for name, level in levels.items())
+    found = [left for module, resource, left in known if workcell_of(module) == workcell and resource == kind]
     return sum(found) if found else None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, assert_never
 
 import structlog
 from starlette.applications import Starlette
@@ -55,6 +55,8 @@ class Desk:
                 reply = await self._recall(question)
             case SentOn():
                 reply = await self._carry_out(question)
+            case _:
+                assert_never(question)
         return self._letters.reply(nonce, reply)
 
     def _note(self, name: str, address: str) -> None:

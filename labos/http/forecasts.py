@@ -55,31 +55,19 @@ class Forecasts:
             now_s = clock.monotonic()
             known_at, since_s = self._queue_at
             if self._queue is None or known_at != position or now_s - since_s > FRESH_S:
-                self._queue = await self._ask()
+                self._queue = await self.forecast()
                 self._queue_at = (position, clock.monotonic())
             return self._queue
 
-    async def forecast_run(self, command: SubmitRun | SubmitWithLabware, actor: str) -> LabForecast:
-        """The forecast of a run. Raises Refused."""
-        return await self._ask(command, actor)
-
-    async def forecast_campaign(
-        self, command: SubmitCampaign, rows: list[tuple[Plan, ...]], actor: str
-    ) -> LabForecast:
-        """The forecast of a campaign whose rows choose between these plans. Raises Refused."""
-        return await self._ask(command, actor, rows)
-
-    async def forecast_proposal(self, subject: str) -> LabForecast:
-        """The forecast for the approval of a run, a campaign or a change of one. Raises Refused."""
-        return await self._ask(approved=subject)
-
-    async def _ask(
+    async def forecast(
         self,
         new: SubmitRun | SubmitWithLabware | SubmitCampaign | None = None,
         actor: str = "",
         new_rows: list[tuple[Plan, ...]] | None = None,
         approved: str = "",
     ) -> LabForecast:
+        """The forecast of the lab with a new run, or with a new campaign whose rows choose between the plans
+        ``new_rows``, or with the approval of the proposal ``approved``. Raises Refused."""
         rows = await self._plan_rows()
         kernel = self._service.kernel
 

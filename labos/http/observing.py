@@ -47,12 +47,12 @@ async def observe(service: LabService, station: str, what: str, by: str) -> Obse
         gone=[e.labware for e in events if isinstance(e, LabwareRemoved)],
         uncertain={e.labware: e.places for e in events if isinstance(e, LabwareUncertain)},
         answered=[e.intervention for e in events if isinstance(e, InterventionResolved)],
-        asked=[_show_question(e) for e in events if isinstance(e, InterventionRequested)],
+        asked=[
+            QuestionAsked(e.intervention, e.text, e.choices)
+            for e in events
+            if isinstance(e, InterventionRequested)
+        ],
     )
-
-
-def _show_question(event: InterventionRequested) -> QuestionAsked:
-    return QuestionAsked(event.intervention, event.text, tuple(event.choices))
 
 
 def _sight(service: LabService, place: str, what: str, by: str) -> ObserveStation:

@@ -10,6 +10,7 @@ value is a struct too. An operation decorates its handler::
 
 from __future__ import annotations
 
+import inspect
 import typing
 from collections.abc import Awaitable, Callable, Mapping
 from functools import cached_property, partial
@@ -129,6 +130,11 @@ class Call:
             raise NotFound(f"There is no run {run!r}.", remedy="List them: labos runs")
 
     @property
+    def address(self) -> str:
+        """The address of the client; empty if it is not known."""
+        return self.request.client.host if self.request.client is not None else ""
+
+    @property
     def is_sent_on(self) -> bool:
         """Whether an API process has already handled the request, and sent it on to the kernel."""
         return ADMITTED in self.request.scope
@@ -200,8 +206,18 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     logs_key: bool = False
     recall: Callable[[list[Event]], Any] | None = None
 
-    def __call__(self, handler: Callable[..., Awaitable[Any]]) -> Operation:
+    def __call__(self, handler: Callable[..., Any]) -> Operation:
         return msgspec.structs.replace(self, handler=handler)
+
+    async def call(self, call: Call, arguments: Mapping[str, msgspec.Struct]) -> Response:
+        """The response of the handler. A handler that is not ``async`` only reads the state; its answer is
+        sent when everything that it has read is on disk."""
+        found = self.handler(call, **arguments)
+        if inspect.isawaitable(found):
+            found = await found
+        else:
+            await call.kernel.flush()
+        return respond(self, found)
 
     @property
     def id(self) -> str:
@@ -234,7 +250,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             arguments = await self._read(api, request, who)
 
             async def work() -> Response:
-                return respond(self, await self.handler(Call(api, request, who), **arguments))
+                return await self.call(Call(api, request, who), arguments)
 
             key = wire.read_key(request) if self.method == "POST" and not self.secret else ""
             if getattr(arguments.get("body"), "dry_run", False):

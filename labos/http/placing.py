@@ -13,7 +13,7 @@ from labos.core.effects import Requires, Sets
 from labos.core.ids import StationName, local
 from labos.errors import BadInput
 from labos.http.limits import Name, Variables
-from labos.http.stock import predict_events
+from labos.http.stock import check
 from labos.spec import BenchFile, Stock
 from labos.spec.about import find_description
 from labos.spec.bench import DEFAULT_LID
@@ -55,7 +55,7 @@ def make_loads(service: LabService, placings: Sequence[Placing], workcell: str, 
         count = 1 if there is None else there.count + 1
         loads[name] = LoadStation(name, labware, count, set=put_on, unset=left_off)
     for command in loads.values():
-        predict_events(service, command, by)
+        list(check(service, command, by))  # its events must be recordable, too
     return list(loads.values())
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import msgspec
-from starlette.responses import Response
 
-from labos.errors import NotFound, NotSignedIn
+from labos.errors import NotFound
 from labos.http.limits import Line, says
-from labos.http.providing import find_user_meant
-from labos.http.signing import Days, answer_secret, expect_users
+from labos.http.signing import Days, expect_users
 from labos.services.accounts import Need
 
 if TYPE_CHECKING:
@@ -63,40 +61,8 @@ class FinishedSignIn(msgspec.Struct, frozen=True):
     wait_s: float = 0.0
 
 
-async def begin(call: Call, body: BeginSignIn) -> Response:
-    """Raises Refused, NotFound, NotSignedIn, TooManyTries."""
-    way = _find_way(call)
-    if body.device:
-        begun, shown = await way.begin_device()
-        found = ProviderSignIn(
-            begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
-        )
-    else:
-        begun = await way.begin(body.port)
-        found = ProviderSignIn(begun.address, begun.state, begun.browser)
-    return answer_secret(found)
-
-
-async def finish(call: Call, body: FinishSignIn) -> Response:
-    """Raises Refused, NotFound, NotSignedIn, BadInput."""
-    from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
-
-    way, accounts = _find_way(call), call.api.gate.accounts
-    sent = {"state": body.state, "code": body.code, "iss": body.iss, "error": body.error}
-    try:
-        claims = await way.finish({name: text for name, text in sent.items() if text}, body.key)
-        if isinstance(claims, RetryAfter):
-            return answer_secret(FinishedSignIn(wait_s=claims.seconds))
-        user = await find_user_meant(call.api, way.provider, claims)
-    except NotSignedIn:
-        accounts.count_try("wrong")
-        raise
-    accounts.count_try("right")
-    secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
-    return answer_secret(FinishedSignIn(user, token.expires_at, secret))
-
-
-def _find_way(call: Call) -> CommandLineSignIn:
+def find_way(call: Call) -> CommandLineSignIn:
+    """Raises Refused, NotFound."""
     expect_users(call.kernel.state)
     found = call.api.gate.command_line
     if found is None:

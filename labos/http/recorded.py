@@ -171,7 +171,7 @@ class RepeatedRequest(msgspec.Struct, frozen=True):
                 return respond(self.operation, self.operation.recall(kernel.events_of_command()))
             parts = _RecordedParts(self.api.service.parts, kernel)
             call = Call(self.api, self.request, self.who, LabService(parts, Feed()))
-            return respond(self.operation, await self.operation.handler(call, **self.arguments))
+            return await self.operation.call(call, self.arguments)
         except StoreError:
             raise
         except Exception as error:

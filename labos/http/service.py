@@ -27,7 +27,7 @@ from labos.core.decide.experiments import (
 )
 from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
-from labos.core.decide.nodes import PutBack, RecordStops, TakeOut
+from labos.core.decide.nodes import RecordStops
 from labos.core.decide.rights import check_rights, check_role
 from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
 from labos.core.decide.stock import LoadStation
@@ -44,12 +44,13 @@ from labos.core.ids import (
 from labos.core.model import LabwareSpec, Plan, StationSpec, Workcell
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import RunSubmitted
+from labos.core.structs import make_from
 from labos.core.users import Role, find_person
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
 from labos.http.feed import Feed
 from labos.http.limits import FileName, Files, FileText
 from labos.http.parts import Parts
-from labos.http.placing import Placing, make_loads, with_loads
+from labos.http.placing import make_loads, with_loads
 from labos.http.repeats import expect_same_experiment, expect_same_run, make_digest_of_request
 from labos.http.tail import Tail
 from labos.http.viewers import Viewers
@@ -74,6 +75,7 @@ from labos.spec.labware import load_packaged_labware, make_spec
 from labos.spec.stations import Stations
 
 if TYPE_CHECKING:
+    from labos.http.bodies import NewExperiment, NewRun, NewRuns
     from labos.http.finding import Finder
     from labos.http.forecasts import Forecasts
     from labos.http.link import KernelLink
@@ -271,57 +273,40 @@ class LabService:
         wanted = source.data.get("workcell")
         return wanted if isinstance(wanted, str) else ""
 
-    async def submit(
-        self,
-        workflow: WorkflowText,
-        payload: dict[str, Any],
-        *,
-        user: str,
-        workcell: str = "",
-        priority: int = 0,
-        experiment: str = "",
-        place: Sequence[Placing] = (),
-        request: str = "",
-        propose: bool = False,
-        due: str = "",
-    ) -> tuple[str, tuple[Finding, ...]]:
-        """Queue a run for the requesting ``user``; returns its id and the workflow's warnings. The same
-        ``request`` twice is one run; Refused if the two requests differ. The labware in ``place`` is recorded
-        together with the run, or not at all. With ``propose`` it waits for an approval; ``due`` is its due
-        date."""
-        self.expect_role(user, "submitter")  # before anything of it is stored
-        self.expect_own(experiment, user)
-        files = await asyncio.to_thread(digest_files, workflow.files)
-        asked = digest_of_run(
-            workflow, files, payload, user, workcell, priority, experiment, place, propose=propose, due=due
-        )
+    async def submit(self, asked: NewRun, request: str = "") -> tuple[str, tuple[Finding, ...]]:
+        """Queue a run for the requesting user; returns its id and the workflow's warnings. The same
+        ``request`` twice is one run; Refused if the two requests differ. The labware that was placed for it
+        is recorded together with the run, or not at all."""
+        self.expect_role(asked.user, "submitter")  # before anything of it is stored
+        self.expect_own(asked.experiment, asked.user)
+        files = await asyncio.to_thread(digest_files, asked.workflow.files)
+        whole = digest_of_run(asked, files, asked.payload)
         known = self.kernel.state.runs.requests.get(request) if request else None
         if known is not None:
             await self.kernel.flush()
-            await asyncio.to_thread(expect_same_run, self.parts.store, request, known, asked)
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, known, whole)
             return str(known), ()
-        due_at = parse_due(due, self.kernel.clock.now_ns())
-        workcell = await self.find_workcell_for(workflow, workcell)
-        loads = make_loads(self, place, workcell, user)
-        compiled = await self.compile(workflow, payload, workcell, loads)
-        run_command = SubmitRun(
-            compiled.plan,
-            find_person(user),
-            payload,
-            ExperimentId(experiment),
-            priority,
-            {**self.list_pins(workflow, *compiled.plans), "request": asked},
-            request,
-            propose,
-            compiled.others,
+        due_at = parse_due(asked.due, self.kernel.clock.now_ns())
+        workcell = await self.find_workcell_for(asked.workflow, asked.workcell)
+        loads = make_loads(self, asked.place, workcell, asked.user)
+        compiled = await self.compile(asked.workflow, asked.payload, workcell, loads)
+        pins = {**self.list_pins(asked.workflow, *compiled.plans), "request": whole}
+        run_command = make_from(
+            SubmitRun,
+            asked,
+            plan=compiled.plan,
+            others=compiled.others,
+            user=find_person(asked.user),
+            pins=pins,
+            request=request,
             due_at=due_at,
         )
         command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        events = await self.kernel.execute(command, user)
+        events = await self.kernel.execute(command, asked.user)
         run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
         if run is None:
             run = self.kernel.state.runs.requests[request]
-            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, asked)
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, whole)
         return str(run), (*compiled.findings, *self.without_gap(run))
 
     def without_gap(self, run: RunId) -> list[Finding]:
@@ -386,31 +371,21 @@ class LabService:
 
     # -- experiments -------------------------------------------------------------------------
 
-    async def start_experiment(
-        self,
-        name: str,
-        user: str,
-        closing: WorkflowText | None,
-        payload: dict[str, Any],
-        *,
-        workcell: str = "",
-        priority: int = 0,
-        request: str = "",
-        parking: Sequence[str] = (),
-        propose: bool = False,
-    ) -> str:
+    async def start_experiment(self, asked: NewExperiment, request: str = "") -> str:
         """An application begins; from now on it must send a heartbeat at least every ``SILENCE_S``."""
+        user, closing = asked.user, asked.closing
         self.expect_role(user, "submitter")
-        compiled = await self.compile(closing, payload, workcell) if closing is not None else None
+        compiled = await self.compile(closing, asked.payload, asked.workcell) if closing is not None else None
         if compiled is not None and compiled.others:
             raise BadInput(
                 f"The closing workflow {compiled.plan.workflow!r} has a choice of modules.",
                 remedy="Name one module for each of its steps: a closing workflow must always be possible.",
             )
         plan = compiled.plan if compiled is not None else None
-        places = tuple(self.station(place) for place in parking)
+        places = tuple(self.station(place) for place in asked.parking)
+        key = request or self.kernel.ids.new()
         command = StartExperiment(
-            name, find_person(user), plan, priority, request or self.kernel.ids.new(), places, propose
+            asked.name, find_person(user), plan, asked.priority, key, places, asked.propose
         )
         requests = self.kernel.state.experiments.requests
         if command.request in requests or not await self.kernel.execute(command, user):
@@ -504,14 +479,6 @@ class LabService:
             self.kernel.submit(RecordStops(by, report.stopped, target, report.silent), by)
         return report
 
-    async def take_out(self, module: str, why: str, until: int, by: str) -> None:
-        """Take a module out of service, until it is put back or until a time (UTC ns)."""
-        command = TakeOut(self.module(module), why, until, self.kernel.clock.now_ns())
-        await self.kernel.execute(command, by)
-
-    async def put_back(self, module: str, by: str) -> None:
-        await self.kernel.execute(PutBack(self.module(module)), by)
-
     def module(self, name: str) -> ModuleName:
         """A module by its full name, or by its local one if only one module has it. Raises NotFound."""
         return ModuleName(self._find_one_of(name, list(self.kernel.state.modules.by_name), "module"))
@@ -567,32 +534,14 @@ def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:
     return {name: digest(content) for name, content in files.items()}
 
 
-def digest_of_run(
-    workflow: WorkflowText,
-    files: Mapping[str, str],
-    payload: dict[str, Any],
-    user: str,
-    workcell: str,
-    priority: int,
-    experiment: str,
-    place: Sequence[Placing],
-    *,
-    propose: bool,
-    due: str,
-) -> str:
+def digest_of_run(asked: NewRun | NewRuns, files: Mapping[str, str], payload: dict[str, Any]) -> str:
     """A digest of the whole request for a run: it shows whether a key stands for the same run. ``files`` are
-    the workflow's files by their digests."""
+    the run's files by their digests."""
     return make_digest_of_request(
-        workflow.text,
-        files,
-        payload,
-        user,
-        workcell,
-        priority,
-        experiment,
-        *([place] if place else []),
-        *(["propose"] if propose else []),
-        *([f"due {due}"] if due else []),
+        *(asked.workflow.text, files, payload, asked.user, asked.workcell, asked.priority, asked.experiment),
+        *([asked.place] if asked.place else []),
+        *(["propose"] if asked.propose else []),
+        *([f"due {asked.due}"] if asked.due else []),
     )
 
 

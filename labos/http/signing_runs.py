@@ -70,11 +70,8 @@ def _command(subject: str, signed: Signed, by: str, asked: RunSignature) -> Comm
 
 async def _expect_password(call: Call, user: str, password: str) -> None:
     """Raises Forbidden, TooManyTries."""
-    client = call.request.client
     try:
-        await call.api.gate.accounts.expect_password(
-            user, password, client.host if client is not None else ""
-        )
+        await call.api.gate.accounts.expect_password(user, password, call.address)
     except NotSignedIn:
         raise Forbidden(
             f"This is not the password of {user}. Nothing was signed.",

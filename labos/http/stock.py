@@ -89,12 +89,6 @@ async def replenish(service: LabService, module: str, request: Replenishment, by
     return sum(event.amount for event in events if isinstance(event, ResourceReplenished))
 
 
-def predict_events(service: LabService, command: Command, by: str) -> list[Event]:
-    """The events that a command would cause, without the reactions to them; changes nothing. Raises
-    Refused."""
-    return list(check(service, command, by))
-
-
 def check(service: LabService, command: Command, by: str) -> Iterable[Event]:
     """Raises Refused for a command that cannot be carried out. The events can be read only if none of them
     depends on an earlier one, as in composite commands."""

@@ -7,7 +7,8 @@ import msgspec
 from labos.core.decide.teach import TeachLocation
 from labos.core.ids import local
 from labos.core.model import LABWARE_TYPE
-from labos.core.modules import Module, Taught
+from labos.core.modules import Module
+from labos.core.structs import make_from
 from labos.errors import BadInput
 from labos.http.bodies import NewPose
 from labos.http.service import LabService
@@ -53,17 +54,13 @@ class LocationPose(TaughtPose):
     types: dict[str, TaughtPose] = {}
 
 
-def _list_facts(taught: Taught) -> tuple[tuple[float, ...], int, bool]:
-    return taught.pose, taught.version, taught.proven
-
-
 def make_locations(module: Module) -> dict[str, LocationPose]:
     """The present poses of a module, by station."""
     written = module.spec.config
     found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}
     for station, lessons in module.taught.items():
         if lessons.any_type is not None:
-            found[local(station)] = LocationPose(*_list_facts(lessons.any_type))
+            found[local(station)] = make_from(LocationPose, lessons.any_type)
     for kind, poses in written.get("poses_of", {}).items():
         for name, pose in poses.items():
             found[name].types[kind] = TaughtPose(tuple(pose), 0, True)
@@ -71,5 +68,5 @@ def make_locations(module: Module) -> dict[str, LocationPose]:
         for kind, taught in lessons.by_type.items():
             # The workcell file may no longer have a pose for the station itself.
             own = found.setdefault(local(station), LocationPose())
-            own.types[kind] = TaughtPose(*_list_facts(taught))
+            own.types[kind] = make_from(TaughtPose, taught)
     return found

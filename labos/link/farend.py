@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
-from labos.link.transcript import TranscriptLine, read_transcript
+from labos.link.transcript import TranscriptLine, read_exchanges
 
 PORT_S = 20.0
 """How long to wait for a port that a simulated device had before and that is still in use."""
@@ -183,8 +183,7 @@ def replay(
     transcript have been received again. Stops when other bytes arrive, or none for ``patience_s``; returns
     the part of the transcript that was not played.
     """
-    records = read_transcript(script) if isinstance(script, str | Path) else list(script)
-    left = [record for record in records if record.mark in "<>"]
+    left = read_exchanges(script)
     heard = b""
     while left:
         if left[0].mark == "<":

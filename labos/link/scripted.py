@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from labos.errors import LinkLost
-from labos.link.transcript import TranscriptLine, read_transcript
+from labos.link.transcript import TranscriptLine, read_exchanges
 
 
 class OffScript(AssertionError):
@@ -15,16 +15,13 @@ class OffScript(AssertionError):
 
 class ScriptedWire:
     """Gives the recorded answer of the device as soon as the bytes before it have been sent again. No time
-    passes: if the transcript has no answer before the next question, the read times out at once. ``link``
-    selects one link of a transcript with several.
-    """
+    passes: if the transcript has no answer before the next question, the read times out at once."""
 
     name = "scripted"
     forgets = True
 
-    def __init__(self, script: str | Path | Iterable[TranscriptLine], *, link: str = "") -> None:
-        records = read_transcript(script) if isinstance(script, str | Path) else list(script)
-        self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
+    def __init__(self, script: str | Path | Iterable[TranscriptLine]) -> None:
+        self._records = read_exchanges(script)
         self._at = 0
         self._sent = b""
         self._open = False
@@ -73,9 +70,8 @@ class ScriptedWire:
 class ScriptedHttp:
     """Answers HTTP requests from the transcript, in its order."""
 
-    def __init__(self, script: str | Path | Iterable[TranscriptLine], *, link: str = "") -> None:
-        records = read_transcript(script) if isinstance(script, str | Path) else list(script)
-        self._records = [r for r in records if r.mark in "<>" and link in ("", r.link)]
+    def __init__(self, script: str | Path | Iterable[TranscriptLine]) -> None:
+        self._records = read_exchanges(script)
 
     @property
     def is_over(self) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal, TextIO
@@ -25,9 +25,7 @@ HEADER = "# labos transcript 1"
 Mark = Literal["open", "close", ">", "<", "!"]
 MARKS = ("open", "close", ">", "<", "!")
 
-_SHORT = {0x09: "\\t", 0x0A: "\\n", 0x0D: "\\r", 0x5C: "\\\\"}
-_BACK = {"t": b"\t", "n": b"\n", "r": b"\r", "\\": b"\\"}
-_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|.)")
+_ESCAPE = re.compile(r"\\(x[0-9a-fA-F]{2}|[tnr\\])")
 
 
 class TranscriptLine(msgspec.Struct, frozen=True):
@@ -126,25 +124,20 @@ def read_transcript(path: str | Path) -> list[TranscriptLine]:
     return records
 
 
+def read_exchanges(script: str | Path | Iterable[TranscriptLine]) -> list[TranscriptLine]:
+    """The sent and received bytes in a transcript. Raises BadInput."""
+    lines = read_transcript(script) if isinstance(script, str | Path) else script
+    return [line for line in lines if line.mark in "<>"]
+
+
 def escape(data: bytes) -> str:
     """Bytes as printing ASCII."""
-    return "".join(
-        _SHORT.get(byte) or (chr(byte) if 0x20 <= byte < 0x7F else f"\\x{byte:02x}") for byte in data
-    )
+    return data.decode("latin-1").encode("unicode_escape").decode("ascii")
 
 
 def unescape(text: str) -> bytes:
     """The bytes of such a text. Raises ValueError."""
-    parts, at = [], 0
-    for match in _ESCAPE.finditer(text):
-        parts.append(text[at : match.start()].encode("ascii"))
-        code = match.group(1)
-        if len(code) == 3:
-            parts.append(bytes([int(code[1:], 16)]))
-        elif code in _BACK:
-            parts.append(_BACK[code])
-        else:
-            raise ValueError(f"\\{code} stands for nothing")
-        at = match.end()
-    parts.append(text[at:].encode("ascii"))
-    return b"".join(parts)
+    _, backslash, other = _ESCAPE.sub("", text).partition("\\")
+    if backslash:  # Python knows more escapes
+        raise ValueError(f"\\{other[:1]} stands for nothing")
+    return text.encode("ascii").decode("unicode_escape").encode("latin-1")

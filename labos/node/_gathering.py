@@ -32,8 +32,8 @@ class _Group(msgspec.Struct):
 class Gathering:
     """The starts of one node that wait for other starts."""
 
-    def __init__(self, journal: Journal, *, wait_s: float = GATHER_S) -> None:
-        self._journal, self._wait_s = journal, wait_s
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
         self._groups: dict[tuple[str, ...], _Group] = {}
 
     async def gather(
@@ -54,7 +54,7 @@ class Gathering:
                 self._decide(group, "")
                 begin([group.starts[name] for name in group.names])
         try:
-            return await asyncio.wait_for(asyncio.shield(group.decided), self._wait_s)
+            return await asyncio.wait_for(asyncio.shield(group.decided), GATHER_S)
         except TimeoutError:
             if not group.decided.done():
                 missing = ", ".join(name for name in group.names if name not in group.starts)

@@ -126,17 +126,17 @@ class Memory(msgspec.Struct):
                 status: _Status = "interrupted" if interrupted else "running"
                 known.attempts[number] = Attempt(action, number, position, name, status, effects=effects)
                 self.seen = max(self.seen, position)
-            case Handled():
-                self._attempt(record.action, record.attempt).handle = record.handle
-            case Ended():
-                ended = self._attempt(record.action, record.attempt)
-                ended.status, ended.outcome, ended.why = "finished", record.outcome, ""
-            case TakenUp():
-                taken_up = self._attempt(record.action, record.attempt)
+            case Handled(action, number, handle):
+                self.actions[action].attempts[number].handle = handle
+            case Ended(action, number, outcome):
+                ended = self.actions[action].attempts[number]
+                ended.status, ended.outcome, ended.why = "finished", outcome, ""
+            case TakenUp(action, number):
+                taken_up = self.actions[action].attempts[number]
                 taken_up.status, taken_up.why = "running", ""
-            case GivenUp():
-                given_up = self._attempt(record.action, record.attempt)
-                given_up.status, given_up.why = "interrupted", record.why
+            case GivenUp(action, number, why):
+                given_up = self.actions[action].attempts[number]
+                given_up.status, given_up.why = "interrupted", why
             case Voided():
                 self._note_void(record.action, record.attempt, record.position)
             case Withdrawn():
@@ -144,9 +144,6 @@ class Memory(msgspec.Struct):
                 self._note_void(record.action, record.attempt, withdrawn.position)
             case _:
                 raise TypeError(f"{type(record).__name__} is not a record of a journal")
-
-    def _attempt(self, action: str, number: int) -> Attempt:
-        return self.actions[action].attempts[number]
 
     def _note_void(self, action: str, number: int, position: int) -> None:
         known = self.actions.setdefault(action, Known())

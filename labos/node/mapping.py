@@ -10,26 +10,19 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from labos.spec.about import About, ArgAbout, BadEffect, StationAbout, make_description
-    from labos.spec.findings import suggest_name
-    from labos.spec.parts import Many, Name, Part, Seconds
-    from labos.spec.tables import DriverTable, Flaw, read_table
-
-__all__ = [
-    "About",
-    "ArgAbout",
-    "BadEffect",
-    "DriverTable",
-    "Flaw",
-    "Many",
-    "Name",
-    "Part",
-    "Seconds",
-    "StationAbout",
-    "make_description",
-    "read_table",
-    "suggest_name",
-]
+    from labos.spec.about import About as About
+    from labos.spec.about import ArgAbout as ArgAbout
+    from labos.spec.about import BadEffect as BadEffect
+    from labos.spec.about import StationAbout as StationAbout
+    from labos.spec.about import make_description as make_description
+    from labos.spec.findings import suggest_name as suggest_name
+    from labos.spec.parts import Many as Many
+    from labos.spec.parts import Name as Name
+    from labos.spec.parts import Part as Part
+    from labos.spec.parts import Seconds as Seconds
+    from labos.spec.tables import DriverTable as DriverTable
+    from labos.spec.tables import Flaw as Flaw
+    from labos.spec.tables import read_table as read_table
 
 _HOMES = {
     "labos.spec.about": ("About", "ArgAbout", "BadEffect", "StationAbout", "make_description"),

@@ -126,20 +126,10 @@ def action(
     ``duration_from`` is the source of its duration if that depends on the arguments: ``{seconds}``, ``20 +
     {minutes}`` in the unit of the parameter, ``{file:protocol:resources.seconds}``. If it has no value there,
     ``duration_s`` is used."""
+    declared = dict(locals())  # the arguments are fields of ActionSpec
 
     def mark(method: F) -> F:
-        method.__labos_action__ = {  # type: ignore[attr-defined]
-            "effects": effects,
-            "duration_s": duration_s,
-            "safe_to_repeat": safe_to_repeat,
-            "cancellable": cancellable,
-            "exclusive": exclusive,
-            "aliases": aliases,
-            "recovers": recovers,
-            "by_person": by_person,
-            "dangerous": dangerous,
-            "duration_from": duration_from,
-        }
+        method.__labos_action__ = declared  # type: ignore[attr-defined]
         return method
 
     return mark

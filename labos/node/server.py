@@ -10,8 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, assert_never
 
 import msgspec
 import structlog
@@ -27,7 +26,7 @@ from labos.node._admission import Admission, NotAdmitted
 from labos.node._condition import DeviceCondition
 from labos.node._gathering import Gathering
 from labos.node._name import claim
-from labos.node._outcome import RunBlocking, call, describe_error, find_outcome
+from labos.node._outcome import call, describe_error, find_outcome
 from labos.node.files import Files, hand_over
 from labos.node.journal import Attempt, Journal, JournalError
 from labos.node.limits import NAME_LIMIT, TEXT_LIMIT, cut, find_flaw, read
@@ -67,11 +66,11 @@ _reset_message = msgspec.json.Decoder(Start)
 class NodeServer:
     """Answers for one module on the bus.
 
-    ``run_blocking`` runs plain ``def`` actions, by default in one thread of their own. ``files`` gives access
-    to the lab's files; without it an action only gets their names. ``settle_s`` is how long to look for
-    another node of this name, ``grace_s`` how long to wait for one that is going away. ``stopping`` is set
-    when a shutdown was requested. ``metrics`` is the address in the answer of ``about``. ``on_end`` is called
-    for each action that ends, with its outcome, or None if that is unknown.
+    Plain ``def`` actions run in one thread of their own. ``files`` gives access to the lab's files; without
+    it an action only gets their names. ``settle_s`` is how long to look for another node of this name,
+    ``grace_s`` how long to wait for one that is going away. ``stopping`` is set when a shutdown was
+    requested. ``metrics`` is the address in the answer of ``about``. ``on_end`` is called for each action
+    that ends, with its outcome, or None if that is unknown.
     """
 
     def __init__(
@@ -88,7 +87,6 @@ class NodeServer:
         settle_s: float = 0.1,
         grace_s: float = 3.0,
         simulated: bool | None = None,
-        run_blocking: RunBlocking | None = None,
         files: Files | None = None,
         trace: Callable[[bool], str] | None = None,
         metrics: str = "",
@@ -109,7 +107,6 @@ class NodeServer:
         self._simulated = node.setup.world is not None if simulated is None else simulated
         self._files = files
         self._worker = Worker("driver")
-        self._run_blocking: RunBlocking = run_blocking or self._worker
         self._description = node.describe()
         self._methods = node.methods()
         self._methods["reset"] = self._reset
@@ -145,14 +142,8 @@ class NodeServer:
     async def start(self) -> None:
         """Take the module's name, answer requests, and connect the device. If the device does not answer, the
         node is in ERROR, but answers requests. Raises NameTaken."""
-        name = await claim(
-            self._bus,
-            self._keys,
-            self.module,
-            self.instance,
-            settle_s=self._settle_s,
-            grace_s=self._grace_s,
-        )
+        waits = {"settle_s": self._settle_s, "grace_s": self._grace_s}
+        name = await claim(self._bus, self._keys, self.module, self.instance, **waits)
         self._handles.append(name)
         left = self._find_left_running()
         for operation, handler in (
@@ -207,10 +198,6 @@ class NodeServer:
             _log.exception("device_not_closed", module=self.module)
         await self.journal.close()
 
-    @property
-    def _stops(self) -> int:
-        return self._admin.stops
-
     def is_at_work(self) -> bool:
         """Whether an action is being carried out."""
         return bool(self._running)
@@ -228,9 +215,7 @@ class NodeServer:
             status=self.status,
             journal=self.journal.id,
             instance=self.instance,
-            running=by_status["running"],
-            finished=by_status["finished"],
-            interrupted=by_status["interrupted"],
+            **by_status,
             variables=self._admin.variables,
             error=self._condition.error,
             stopped_at=self._admin.stopped_at,
@@ -315,6 +300,8 @@ class NodeServer:
                     self.journal.prune(message.position)
                     await self.journal.sync()
                     reply = self._reply("done")
+                case _:
+                    assert_never(message)
         except JournalError as error:
             await self._condition.fail(str(error))
             reply = self._reply("refused", str(error))
@@ -382,7 +369,7 @@ class NodeServer:
             self._condition.doing = starts[0].action
         # The task itself waits for the sync, because the asker may be gone before it is done.
         task = asyncio.get_running_loop().create_task(
-            self._carry_out(attempts, spec, kwargs, starts[0].files, self._stops)
+            self._carry_out(attempts, spec, kwargs, starts[0].files, self._admin.stops)
         )
         for start, attempt in zip(starts, attempts, strict=True):
             self._begun[start.action] = attempt
@@ -469,7 +456,7 @@ class NodeServer:
             self._condition.release(attempts[0].action)
             return
         started_ns = self._clock.now_ns()
-        if self._stops != stops:
+        if self._admin.stops != stops:
             outcome = Outcome(False, "none", error=STOPPED_BEFORE)
             await self._conclude(
                 attempts, spec, msgspec.structs.replace(outcome, started_ns=started_ns), stops
@@ -525,14 +512,14 @@ class NodeServer:
             del self._running[attempt.action]
         self._condition.release(attempts[0].action)
         # An action that was stopped meanwhile leaves the node in error: only a later recovery ends that.
-        stopped = self._stops != stops and self._condition.error
+        stopped = self._admin.stops != stops and self._condition.error
         if not stopped and self._condition.judge(spec, outcome):
             self._admin.note_recovery()
         answered = [attempt for attempt in attempts if attempt.action not in self._unanswered]
         for attempt in answered:
             published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
             key = self._keys.result(self.module, attempt.action)
-            await self._publish(key, partial(_return_unchanged, published))
+            await self._publish(key, published)
         if answered or self._condition.error or spec.recovers:
             await self._publish_state()
         await self._sync_if_possible()
@@ -547,9 +534,9 @@ class NodeServer:
             for name in named & kwargs.keys():
                 if sha256 := pinned.get(str(kwargs[name])):
                     kwargs[name] = str(await self._files.fetch(sha256, str(kwargs[name])))
-            if self._stops != stops:  # fetching may have taken long
+            if self._admin.stops != stops:  # fetching may have taken long
                 raise DeviceError(STOPPED_BEFORE, effects="none")
-        result = await call(self._methods[spec.name], kwargs, self._run_blocking)
+        result = await call(self._methods[spec.name], kwargs, self._worker)
         return await hand_over(result, self._files)
 
     def _set_current_action(self, attempts: Sequence[Attempt]) -> None:
@@ -588,7 +575,7 @@ class NodeServer:
         if not self._condition.connected:
             await self._give_up([attempt], f"{INTERRUPTED}, and {self._condition.error}")
             return
-        await self._await_end([attempt], spec, self._take_up(attempt), 0, self._stops)
+        await self._await_end([attempt], spec, self._take_up(attempt), 0, self._admin.stops)
 
     async def _take_up(self, attempt: Attempt) -> Any:
         return await hand_over(await self.node.take_up(attempt.name, attempt.handle), self._files)
@@ -597,7 +584,7 @@ class NodeServer:
         """The action ``reset``: that of the driver, or a new attempt to connect."""
         result = None
         if self._condition.connected:
-            result = await call(self.node.reset, kwargs, self._run_blocking)
+            result = await call(self.node.reset, kwargs, self._worker)
         else:
             await self._condition.reconnect()
         await self._condition.mark_busy_until_rest()
@@ -617,12 +604,12 @@ class NodeServer:
         return ActionReply(status, self.journal.id, cut(why), outcome, attempt)  # type: ignore[arg-type]
 
     async def _publish_state(self) -> None:
-        await self._publish(self._keys.operation(self.module, "state"), self.state)
+        await self._publish(self._keys.operation(self.module, "state"), self.state())
 
-    async def _publish(self, key: str, message: Callable[[], msgspec.Struct]) -> None:
+    async def _publish(self, key: str, message: msgspec.Struct) -> None:
         """Publish a message. A lost publication costs only time, so its failure must not affect actions."""
         try:
-            await self._bus.publish(key, _encode(message()))
+            await self._bus.publish(key, _encode(message))
         except Exception as error:
             _log.warning("not_published", module=self.module, key=key, error=describe_error(error))
 
@@ -630,7 +617,3 @@ class NodeServer:
         task = asyncio.get_running_loop().create_task(coroutine)
         self._tasks = [*(other for other in self._tasks if not other.done()), task]
         return task
-
-
-def _return_unchanged(message: ResultPublished) -> ResultPublished:
-    return message

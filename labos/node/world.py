@@ -85,8 +85,7 @@ class World:
 
     def furnish(self, place: str, capacity: int = 1) -> None:
         """Add a place with room for a number of plates."""
-        with self._turn():
-            self._record("bench", "furnish", place, "", {"capacity": capacity})
+        self._act("bench", "furnish", place, capacity=capacity)
 
     def share(self, zone: str, *places: str) -> None:
         """Make a zone: hands that reach for these places, and devices of these names that work, can
@@ -111,14 +110,12 @@ class World:
 
     def fit(self, place: str, kind: str, *grips: str) -> None:
         """Set the only possible grips for plates of a kind at a place."""
-        with self._turn():
-            self._record("bench", "fit", place, "", {"kind": kind, "grips": grips})
+        self._act("bench", "fit", place, kind=kind, grips=grips)
 
     def lie(self, place: str, frame: int = 0, only: int | None = None) -> None:
         """Set the rotation of a nest in the room, and the only rotation in which it accepts plates
         (degrees)."""
-        with self._turn():
-            self._record("bench", "lie", place, "", {"frame": frame, "only": only})
+        self._act("bench", "lie", place, frame=frame, only=only)
 
     def way(self, plate: str) -> int:
         """The rotation of a plate in its nest (degrees)."""
@@ -132,30 +129,25 @@ class World:
 
     def carry(self, plate: str, target: str) -> None:
         """A person carries a plate to a place (``""`` for out of the lab)."""
-        with self._turn():
-            self._record("person", "carry", target, plate, {})
+        self._act("person", "carry", target, plate)
 
     def empty(self, place: str) -> None:
         """A person empties a waste chute."""
-        with self._turn():
-            self._record("person", "empty", place, "", {})
+        self._act("person", "empty", place)
 
     def trip(self, device: str, how: str) -> None:
         """The next motion of a hand goes wrong (``misses``, ``drops`` or ``keeps``), and the hand does not
         notice it."""
-        with self._turn():
-            self._record("bench", "trip", device, "", {"how": how})
+        self._act("bench", "trip", device, how=how)
 
     def label(self, plate: str, text: str) -> None:
         """A person puts a barcode on a plate (``""``: removes it)."""
-        with self._turn():
-            self._record("person", "label", "", plate, {"text": text})
+        self._act("person", "label", "", plate, text=text)
 
     def supply(self, device: str, resource: str, amount: float) -> None:
         """A person puts an amount of a resource into a device. A resource that was never supplied is
         unlimited."""
-        with self._turn():
-            self._record("person", "supply", device, "", {"resource": resource, "amount": amount})
+        self._act("person", "supply", device, resource=resource, amount=amount)
 
     # -- what devices do ---------------------------------------------------------------------
 
@@ -240,8 +232,7 @@ class World:
 
     def gate(self, device: str, place: str, *, shut: bool) -> None:
         """A lid or drawer in front of a place opens or closes."""
-        with self._turn():
-            self._record(device, "shut" if shut else "open", place, "", {})
+        self._act(device, "shut" if shut else "open", place)
 
     def work(self, device: str, verb: str, place: str = "", **facts: Any) -> str:
         """The device works on the topmost plate at a place (on nothing, if no place is named). Returns the
@@ -293,12 +284,9 @@ class World:
     def contents(self, plate: str) -> dict[str, dict[str, float]]:
         """The liquids that were really pipetted into a plate and not drawn again: µL by well and liquid."""
         with self._turn():
-            rows = self._db.execute(
-                "SELECT facts FROM motion WHERE verb = 'pipette' AND plate = ? ORDER BY seq", (plate,)
-            )
             found: dict[str, dict[str, float]] = {}
-            for (text,) in rows.fetchall():
-                facts = json.loads(text)
+            for motion in self._read("verb = 'pipette' AND plate = ?", plate):
+                facts = motion.facts
                 wells = facts.get("wells") or []
                 for liquid, doses in (facts.get("volumes") or {}).items():
                     for well, dose in zip(wells, doses or [], strict=False):
@@ -313,14 +301,7 @@ class World:
 
     def history(self, plate: str, *verbs: str) -> list[Motion]:
         """The motions of a plate with these verbs, in order."""
-        rows = self._db.execute(
-            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE plate = ? ORDER BY seq", (plate,)
-        )
-        return [
-            Motion(seq, device, done, place, plate, json.loads(facts))
-            for seq, device, done, place, plate, facts in rows
-            if done in verbs
-        ]
+        return [motion for motion in self._read("plate = ?", plate) if motion.verb in verbs]
 
     def is_shut(self, place: str) -> bool:
         """Whether a closed lid or drawer blocks a place."""
@@ -349,14 +330,7 @@ class World:
 
     def motions(self, verb: str = "", after: int = 0) -> list[Motion]:
         """The motions in order; with ``after``, only those after the motion of that number."""
-        rows = self._db.execute(
-            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE seq > ? ORDER BY seq", (after,)
-        )
-        return [
-            Motion(seq, device, done, place, plate, json.loads(facts))
-            for seq, device, done, place, plate, facts in rows
-            if verb in ("", done)
-        ]
+        return [motion for motion in self._read("seq > ?", after) if verb in ("", motion.verb)]
 
     def crashes(self) -> list[Motion]:
         return self.motions("crash")
@@ -399,12 +373,20 @@ class World:
                 self._db.execute("COMMIT")
 
     def _catch_up(self) -> None:
-        rows = self._db.execute(
-            "SELECT seq, device, verb, place, plate, facts FROM motion WHERE seq > ? ORDER BY seq",
-            (self._seen,),
-        )
-        for seq, device, verb, place, plate, facts in rows.fetchall():
-            self._apply(Motion(seq, device, verb, place, plate, json.loads(facts)))
+        for motion in self._read("seq > ?", self._seen):
+            self._apply(motion)
+
+    def _read(self, condition: str, value: object) -> list[Motion]:
+        rows = self._db.execute(f"SELECT * FROM motion WHERE {condition} ORDER BY seq", (value,)).fetchall()
+        return [
+            Motion(seq, device, verb, place, plate, json.loads(facts))
+            for seq, device, verb, place, plate, facts in rows
+        ]
+
+    def _act(self, device: str, verb: str, place: str, plate: str = "", **facts: Any) -> None:
+        """Record one motion by itself."""
+        with self._turn():
+            self._record(device, verb, place, plate, facts)
 
     def _record(self, device: str, verb: str, place: str, plate: str, facts: dict[str, Any]) -> None:
         cursor = self._db.execute(

@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,7 @@ import msgspec
 
 from labos.clock import Clock, SystemClock
 from labos.errors import BadInput, NotFound, Refused
+from labos.lockfile import FileLock
 from labos.pki._credentials import CA, CERTIFICATE, KEY, MEMBERS, Credentials, Stamp, read_members, stamp_of
 from labos.pki._party import SERVERS, CertificateEntry, Members, PartyIdentity, folder_name
 from labos.private import make_folder, replace_file, sync_folder
@@ -300,19 +300,13 @@ class Authority:
         """A lock between commands and the kernel, which renews certificates."""
         if not self.folder.is_dir():
             raise NotFound(f"There is no authority in {self.folder}.", remedy="Make one: labos pki init")
-        handle = os.open(self.folder / ".lock", os.O_RDWR | os.O_CREAT, 0o600)
+        lock = FileLock(self.folder / ".lock")
+        while not lock.acquire(f"process {os.getpid()}"):
+            pass  # each attempt takes a while
         try:
-            if sys.platform == "win32":
-                import msvcrt
-
-                msvcrt.locking(handle, msvcrt.LK_LOCK, 1)
-            else:
-                import fcntl
-
-                fcntl.flock(handle, fcntl.LOCK_EX)
             yield
         finally:
-            os.close(handle)
+            lock.release()
 
 
 def _read(path: Path) -> bytes:

@@ -28,8 +28,9 @@ class Score(msgspec.Struct, frozen=True, order=True):
     """How good a play was; smaller is better. All fields but the first two are in seconds of wall time.
     ``overdue_s`` is for all runs. ``first_s`` are the ends of each class that goes before others, the highest
     first. ``avoidable_s`` is how much less late the runs would be if each user's runs ended at the same
-    times, but in the order of their due dates. ``cost_s`` is the weighted end of all runs, plus the end of
-    each run of an experiment, and the mean of all ends."""
+    times, but in the order of their due dates. ``cost_s`` is twice the weighted mean of the end of all
+    runs, the end of each run of an experiment, and the mean of all ends. Twice, so that it is the sum of end
+    and mean where both count the same; a mean, so that larger weights make no gain larger than it is."""
 
     stays: int
     missed: int
@@ -92,9 +93,10 @@ def _judge_one(play: Play, rated: Mapping[RunId, Rated], now: int, end_weight: i
     first_s = tuple(sum(end for run, end in ends.items() if rated[run].rank == rank) for rank in classes)
     deadlines = {run: (rated[run].deadline - now) / 1e9 for run in ends if rated[run].deadline}
     overdue_s = sum(max(0.0, ends[run] - deadline) for run, deadline in deadlines.items())
-    goes_on = sum(end for run, end in ends.items() if rated[run].more)
-    over_s = max(ends.values(), default=0.0) + GOES_ON * goes_on
-    cost_s = end_weight * over_s + _compute_mean(list(ends.values()))
+    goes_on = [end for run, end in ends.items() if rated[run].more]
+    over_s = max(ends.values(), default=0.0) + GOES_ON * sum(goes_on)
+    weights = end_weight * (1 + GOES_ON * len(goes_on)) + 1
+    cost_s = 2 * (end_weight * over_s + _compute_mean(list(ends.values()))) / weights
     avoidable_s = _find_avoidable(ends, rated, now)
     stays = sum(run in rated for run in play.stays)
     return Score(stays, play.missed, overdue_s, first_s, avoidable_s, cost_s)

@@ -1,4 +1,4 @@
-"""How often waiting runs were passed over: the lab protects a run that was passed over too often."""
+"""How often waiting runs were overtaken: the lab protects a run that was overtaken too often."""
 
 from __future__ import annotations
 

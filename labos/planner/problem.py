@@ -19,21 +19,19 @@ from msgspec.structs import replace
 from labos.core.actions import ActionStatus
 from labos.core.booked import find_blocked, find_contacts, is_exempt
 from labos.core.effects import list_carried
-from labos.core.ids import ModuleName, RunId, StationName, experiment_owner, run_owner
+from labos.core.ids import ModuleName, RunId, StationName, experiment_owner, run_owner, split_key
 from labos.core.model import MAIN, PlanStep
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
-from labos.core.waits import station_key
 from labos.planner.lengths import estimate_at_level
 from labos.planner.measure import rate_runs
 from labos.planning.forecast import find_setup_under_way
-from labos.planning.taken import list_taken
+from labos.planning.taken import count_room, find_station, is_deck, list_counted_keys, list_taken
 
 MOST_WAITING = 30
 """Only so many waiting runs are planned: those that would start first."""
 
-DECK = "deck:"
 
 MOST_WINDOWED = 20
 """If there are windows, only so many runs are planned in all, and always those in progress; further runs are
@@ -96,7 +94,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     and ``more`` says whether it belongs to an experiment, so that further unknown runs follow; ``ranks`` is
     the number of classes before which it goes, and ``due_s`` the deadline of its campaign, if it has one (lab
     seconds from now). ``line`` are the first tasks of the runs that wait for their start, in the order of
-    rank and age, and ``passed`` says how often each of them was passed over. The end of all counts
+    rank and age, and ``overtaken`` says how often each of them was overtaken. The end of all counts
     ``end_weight`` times as much as the mean of all ends."""
 
     tasks: tuple[Task, ...]
@@ -111,7 +109,7 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
     own_due_s: tuple[float | None, ...] = ()
     setups: tuple[SetupCosts, ...] = ()
     end_weight: int = 1
-    passed: tuple[int, ...] = ()
+    overtaken: tuple[int, ...] = ()
 
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
@@ -273,59 +271,49 @@ class _Reader:
         owners = [run_owner(run.id), *([experiment_owner(run.experiment)] if run.experiment else [])]
         for labware in [piece for owner in owners for piece in self.state.bench.list_owned(owner)]:
             if not labware.on:
-                for place in self._list_counted_keys(labware.station):
+                for place in list_counted_keys(self.state, labware.station):
                     standing.setdefault(place, []).append(None)
         for index, step in enumerate(steps):
             number = numbers.get(index)
             if number is None:
                 continue
             for what in list_carried(step.effects):
-                for place in self._list_counted_keys(what.emptied):
+                for place in list_counted_keys(self.state, what.emptied):
                     pieces = standing.get(place, [])
-                    if place.startswith(DECK) and len(pieces) > 1:
+                    if is_deck(place) and len(pieces) > 1:
                         pieces.pop()  # the run has the deck until its last piece has left
                     elif pieces:
                         self._add_stay(place, pieces.pop(0), number)
                     elif self._is_standing(place):
                         self._taken[place] = self._taken.get(place, 0) + 1
                         self._add_stay(place, None, number)
-                for place in self._list_counted_keys(what.filled):
+                for place in list_counted_keys(self.state, what.filled):
                     standing.setdefault(place, []).append(number)
         # Labware that a run leaves behind stays there without end. Not in an experiment: its next run will
         # fetch it, at an unknown time.
         last = max(numbers.values(), default=None) if run.experiment else None
         for place, pieces in standing.items():
-            for first in pieces[:1] if place.startswith(DECK) else pieces:
+            for first in pieces[:1] if is_deck(place) else pieces:
                 self._add_stay(place, first, last)
 
     def _is_standing(self, place: str) -> bool:
         """Whether labware stands at a place and none of these runs fetches it."""
-        name = StationName(place.partition(":")[2])
-        return not place.startswith(DECK) and self._count_strangers(name) > self._taken.get(place, 0)
+        name = StationName(split_key(place)[1])
+        return not is_deck(place) and self._count_strangers(name) > self._taken.get(place, 0)
 
     def _add_stay(self, place: str, first: int | None, last: int | None) -> None:
         self._places[place] = True
         self.stays.append(RoomUse(place, first, last))
 
-    def _list_counted_keys(self, place: StationName) -> list[str]:
-        station = self.state.bench.stations.get(place)
-        if station is None or station.spec.kind in ("stack", "waste"):
-            return []
-        keys = [station_key(place)]
-        return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
-
     def make_problem(self, cell: str) -> SchedulingProblem:
         room: dict[str, int] = {}
         for key in self._places:
-            name = key.partition(":")[2]
-            if key.startswith(DECK):
-                room[key] = 1
+            station = find_station(self.state, key)
+            if station is None:
+                room[key] = 1  # a deck
                 continue
-            station = self.state.bench.stations[StationName(name)]
-            shelves = self.state.bench.shelves.get(station.spec.name, [])
-            capacity = sum(self.state.bench.stations[s].spec.capacity for s in shelves)
             strangers = self._count_strangers(station.spec.name) - self._taken.get(key, 0)
-            room[key] = (capacity or station.spec.capacity) - strangers
+            room[key] = count_room(self.state, station) - strangers
         return SchedulingProblem(
             tuple(self.tasks),
             tuple(self.stays),

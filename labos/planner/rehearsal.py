@@ -7,6 +7,7 @@ course of the lab without it, and is sent only if it is better.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import msgspec
 
@@ -47,7 +48,8 @@ class OrderRehearsal:
     """Continues copies of a workcell with these runs; other waiting runs are left out. ``level`` is the
     quantile of durations for planning. ``drawn`` is the number of plays with drawn durations, if there are
     windows; 0: durations are exact, so any gain counts. The end of all counts ``end_weight`` times as much as
-    the mean of all ends. ``searches``: the lab looks for an order of its own where none is suggested."""
+    the mean of all ends. ``searches``: the lab looks for an order of its own where none is suggested.
+    ``overtaken`` says how often each waiting run was overtaken before."""
 
     def __init__(
         self,
@@ -60,8 +62,10 @@ class OrderRehearsal:
         drawn: int = DRAWN,
         end_weight: int = 1,
         searches: bool = False,
+        overtaken: Mapping[RunId, int] = MappingProxyType({}),
     ) -> None:
         self.cell, self.now, self.level, self.end_weight = cell, now, level, end_weight
+        self._overtaken = overtaken
         self._orders: dict[str, OwnOrder] | None = {} if searches else None
         copy = from_picture(encode_picture(state))
         copy.lab.paused.clear()  # paused work will continue at some time, and in the same order
@@ -120,7 +124,8 @@ class OrderRehearsal:
                 order.workcell, order.by, order.until, order.steps
             )
         lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
-        way.plays.append(VirtualLab(state, self.now, lasts, orders=self._orders).go_on())
+        lab = VirtualLab(state, self.now, lasts, orders=self._orders, overtaken=self._overtaken)
+        way.plays.append(lab.go_on())
 
 
 def _make_lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:

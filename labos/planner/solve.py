@@ -167,7 +167,7 @@ def _search(
             model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
     for one, other in problem.like:
         model.add(begin[one] <= begin[other])
-    _limit_overtaking(model, [begin[first] for first in problem.line], problem.passed)
+    _limit_overtaking(model, [begin[first] for first in problem.line], problem.overtaken)
     over: list[cp_model.IntVar] = []
     for number, last_tasks in enumerate(problem.ends):
         over.append(model.new_int_var(0, 2 * horizon, f"end{number}"))
@@ -257,12 +257,12 @@ def _add_overdue(
 
 
 def _limit_overtaking(
-    model: cp_model.CpModel, line: Sequence[cp_model.IntVar], passed: Sequence[int]
+    model: cp_model.CpModel, line: Sequence[cp_model.IntVar], overtaken: Sequence[int]
 ) -> None:
     """No run may start late if more later ones went before it than the lab allows: the lab would refuse the
-    order. ``passed``: how many went before each run already."""
+    order. ``overtaken``: how many went before each run already."""
     for number, elder in enumerate(line):
-        most = max(0, PATIENCE - (passed[number] if passed else 0))
+        most = max(0, PATIENCE - (overtaken[number] if overtaken else 0))
         if len(line) - number <= most:
             continue
         before: list[cp_model.IntVar] = []

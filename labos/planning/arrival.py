@@ -17,7 +17,7 @@ from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.bench import StationState
 from labos.core.effects import list_arrivals, list_carried
-from labos.core.ids import Owner, RunId, StationName, run_owner, split_owner, workcell_of
+from labos.core.ids import Owner, RunId, StationName, run_owner, split_key, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s
@@ -123,7 +123,7 @@ def _list_in_the_way(state: LabState, station: StationState) -> Iterator[Owner]:
 def _find_leave_time(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
     """When a run will have carried its labware away from a place, at the earliest (UTC ns); None if it does
     not, or does not go on now."""
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     run = state.runs.active.get(RunId(name)) if kind == "run" else None
     if run is None or run.status != RunStatus.ACTIVE or find_holds(run):
         return None

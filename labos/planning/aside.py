@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from labos.core import reasons
 from labos.core.binding import check_door_open
 from labos.core.effects import list_places
-from labos.core.ids import ModuleName, RunId
+from labos.core.ids import ModuleName, RunId, module_key, split_key
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, RunStatus
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 from labos.planning.floor import Actor, Floor
 from labos.planning.layout import is_down, lay_out
 from labos.planning.moves import move
@@ -108,7 +108,7 @@ def _find_kept(floor: Floor, actor: Actor) -> set[str]:
     kept.update(floor.arms[place] for place in stands if place in floor.arms)
     for key, holders in floor.held.items():
         if actor.name in holders:
-            kept.add(key.partition(":")[2])
+            kept.add(split_key(key)[1])
     return kept
 
 

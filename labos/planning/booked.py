@@ -270,6 +270,8 @@ class BookingTimes:
                     yield BeginBooking(booking.id, now)
                 case "end":
                     yield EndBooking(booking.id, now)
+                case _:
+                    pass
 
 
 __all__ = ["BookingTimes", "check_start", "find_room_end", "list_without_gap"]

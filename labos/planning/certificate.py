@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator, Sequence
+from typing import Literal
 
 import msgspec
 
@@ -79,16 +80,16 @@ class Certificate(msgspec.Struct, frozen=True):
 
 
 class _Edge(msgspec.Struct, frozen=True, eq=False):
-    """``end`` comes at most ``weight`` µs after ``start``. ``case`` is 1 where a step may take its longest
-    (upper case), -1 where it may take its shortest (lower case); ``step`` is that step, or the number of the
-    window (``is_window``). ``parts`` are the edges from which it was derived."""
+    """``end`` comes at most ``weight`` µs after ``start``. ``case`` says whether a step may take its longest
+    there (upper case) or its shortest (lower case); ``step`` is that step, and ``window`` the number of
+    the window that it stands for. ``parts`` are the edges from which it was derived."""
 
     start: int
     end: int
     weight: int
-    case: int = 0
-    step: int = -1
-    is_window: bool = False
+    case: Literal["", "longest", "shortest"] = ""
+    step: int | None = None
+    window: int | None = None
     parts: tuple[_Edge, ...] = ()
 
     def expand(self) -> Iterator[_Edge]:
@@ -151,15 +152,12 @@ def certify(
     cycles = 0
     is_whole = len(main) <= MOST_STEPS or not width
     while width and is_whole:
-        edges = [
-            _Edge(_end(known[n][1]), _begin(known[n][0]), most, step=n, is_window=True)
-            for n, most in width.items()
-        ]
+        edges = [_Edge(_end(known[n][1]), _begin(known[n][0]), most, window=n) for n, most in width.items()]
         ways = _find_negative_cycle([*fixed.edges, *edges], sources)
         if not ways:
             break
         cycle = [part for way in ways for edge in way for part in edge.expand()]
-        through = [edge.step for edge in cycle if edge.is_window]
+        through = [edge.window for edge in cycle if edge.window is not None]
         blamed = max(through, key=lambda n: (place[known[n][0]], n))
         short = _find_shortfall(ways, blamed)
         broken[blamed] = broken.get(blamed, 0) + short
@@ -254,7 +252,10 @@ class _Fixed:
             self.longest[step] = most
             self.edges += (_Edge(begin, sure, least), _Edge(sure, begin, -least, step=step))
             self.edges += (_Edge(sure, end, most - least), _Edge(end, sure, 0))
-            self.edges += (_Edge(sure, end, 0, -1, step), _Edge(end, sure, least - most, 1, step))
+            self.edges += (
+                _Edge(sure, end, 0, "shortest", step),
+                _Edge(end, sure, least - most, "longest", step),
+            )
 
     def follow(self, step: int, before: int, wait: int = 0) -> None:
         """Let a step start no sooner than a time after the end of another."""
@@ -298,12 +299,14 @@ def _list_taken(
 ) -> tuple[StepTime, ...]:
     """The steps of a cycle, with how long each takes there, in the order of the plan. One that stands there
     at its longest and at its shortest does not matter."""
-    cases: dict[int, set[int]] = {}
+    cases: dict[int, set[str]] = {}
     for edge in cycle:
-        if edge.case or (edge.step >= 0 and not edge.is_window):
+        if edge.step is not None:
             cases.setdefault(edge.step, set()).add(edge.case)
     times = {
-        step: limits[step][1 if 1 in found else 0] for step, found in cases.items() if not {1, -1} <= found
+        step: limits[step]["longest" in found]
+        for step, found in cases.items()
+        if not {"longest", "shortest"} <= found
     }
     return tuple(StepTime(plan.steps[step].key, times[step]) for step in sorted(times, key=place.__getitem__))
 
@@ -319,7 +322,7 @@ def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
         for edge in reversed(open_.pop()):
             if edge.parts:
                 open_.append(edge.parts)
-            elif edge.case < 0 and passes:
+            elif edge.case == "shortest" and passes:
                 found.append(-(sum_ // passes))
             sum_ += edge.weight
             passes += _count_passes(edge, window)
@@ -327,7 +330,7 @@ def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
 
 
 def _count_passes(edge: _Edge, window: int) -> int:
-    return sum(part.is_window and part.step == window for part in edge.expand())
+    return sum(part.window == window for part in edge.expand())
 
 
 # -- Morris 2014 ---------------------------------------------------------------------------------------
@@ -349,12 +352,12 @@ class _Search:
         least: dict[int, int] = {}
         first: dict[int, _Edge] = {}
         queue: list[tuple[int, int]] = []
-        own = -1
+        own: int | None = None
         for edge in self.into.get(source, ()):
             if edge.weight < 0 and edge.weight < least.get(edge.start, 0):
                 least[edge.start], first[edge.start] = edge.weight, edge
                 heapq.heappush(queue, (edge.weight, edge.start))
-                own = edge.step if edge.case > 0 else own
+                own = edge.step if edge.case == "longest" else own
         passed: set[int] = set()
         while queue:
             distance, node = heapq.heappop(queue)
@@ -370,7 +373,7 @@ class _Search:
             if node in self.negative and node not in self.done:
                 yield node, self._find_path(node, source, first)
             for edge in self.into.get(node, ()):
-                is_own = edge.case < 0 and edge.step == own
+                is_own = edge.case == "shortest" and edge.step == own
                 if edge.weight < 0 or is_own or edge.start in passed:
                     continue
                 if distance + edge.weight < least.get(edge.start, distance + edge.weight + 1):

@@ -14,18 +14,17 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-UNLIMITED = -1
-
 
 class Leg(msgspec.Struct, frozen=True, gc=False):
     """A step of a chain: what it takes while it lasts, what the run holds before and meanwhile (numbers of
-    resources), how long it takes, and how long the run waits before it, at least and at most (slots)."""
+    resources), how long it takes, and how long the run waits before it, at least and at most (slots; None: no
+    limit)."""
 
     takes: tuple[int, ...]
     holds: tuple[int, ...]
     length: int
     least: int = 0
-    most: int = UNLIMITED
+    most: int | None = None
 
 
 class Chain(msgspec.Struct, frozen=True, gc=False):
@@ -128,11 +127,11 @@ def _runs(free: int, length: int) -> int:
     return free
 
 
-def _wait(ends: int, free: int, least: int, most: int) -> int:
+def _wait(ends: int, free: int, least: int, most: int | None) -> int:
     """The slots up to which one can wait from one of these, as long as it is free."""
     if least:
         ends = (ends & _runs(free, least)) << least
-    if most == UNLIMITED:
+    if most is None:
         # A carry runs through all free slots that follow.
         return ((free + (ends & free)) ^ free) | ends
     covered, left = 0, most - least

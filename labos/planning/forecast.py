@@ -12,12 +12,11 @@ from types import MappingProxyType
 from labos.core.actions import Action
 from labos.core.algebra import compute_settings_after, list_away_from_rest
 from labos.core.effects import Carrying, list_carried
-from labos.core.ids import StationName
+from labos.core.ids import StationName, module_key, station_key, zone_key
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.rules import convert_lab_s
 from labos.core.runs import PENDING, RunState, find_anchor
 from labos.core.state import LabState
-from labos.core.waits import module_key, station_key, zone_key
 from labos.core.zones import find_zones
 
 MARGIN = 1.1

@@ -11,7 +11,7 @@ import msgspec
 
 from labos.core.algebra import check_effect
 from labos.core.effects import Carrying, Claims, Consumes, Effect, Needs, Requires, list_carried, name_hand
-from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, split_owner
+from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner, split_key
 from labos.core.model import PlanStep
 from labos.core.rules import examine
 from labos.core.runs import RunState
@@ -118,7 +118,7 @@ class _Search:
 
     def _add(self, place: StationName, owner: Owner) -> None:
         """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
-        kind, name = split_owner(owner)
+        kind, name = split_key(owner)
         if kind == "run":
             self._add_run(RunId(name), place)
             return
@@ -154,7 +154,7 @@ class _Search:
             trapped = self.safety.list_trapped(self.state, run, index, only_asking=True)
             self.found.in_vain |= trapped == [run.id]
             for name in trapped:
-                if name.startswith("experiment:"):
+                if split_key(name)[0] == "experiment":
                     self._add(ANYWHERE, Owner(name))
                 else:
                     self._add_run(RunId(name), ANYWHERE)

@@ -207,6 +207,8 @@ class Hindsight(msgspec.Struct):
             case RunFailed() | RunCancelled():
                 self.open.pop(event.run, None)
                 self.open_again.pop(event.run, None)
+            case _:
+                pass
 
     def _list_forecasts(self, run: RunId) -> list[PastForecast]:
         return [self.open[run], *self.open_again.get(run, [])]

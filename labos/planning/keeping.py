@@ -17,12 +17,12 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.booked import find_begun_booking
-from labos.core.ids import ModuleName, RunId
+from labos.core.ids import ModuleName, RunId, module_key
 from labos.core.rules import convert_lab_s, examine
 from labos.core.runs import PENDING, UNKNOWN, RunState, StepStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 from labos.planning.advice import list_options
 from labos.planning.forecast import find_earliest_start, is_pending
 from labos.planning.layout import is_down
@@ -330,7 +330,7 @@ class Windows:
             plan.advice, plan.outcome, plan.as_suggested = suggested, RehearsalResult(starts), True
             return plan
         if obliged:
-            trial = Trial(plan, None, -1, set(self._hopeless))
+            trial = Trial(plan, None, 0, set(self._hopeless))
             if suggested is not None and _is_on_time(state, suggested, now):
                 # What somebody has planned for all of them comes first, if it keeps all windows.
                 plan.advice = suggested

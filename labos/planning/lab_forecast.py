@@ -220,6 +220,8 @@ class _Forecaster:
                     self.new = str(event.run)
                 case CampaignSubmitted():
                     self.new = str(event.campaign)
+                case _:
+                    pass
 
 
 def _is_new(forecaster: _Forecaster, play: Play, name: RunId) -> bool:

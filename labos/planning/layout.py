@@ -17,7 +17,17 @@ from labos.core.bench import Bench, Labware
 from labos.core.binding import check_module
 from labos.core.decide.together import find_planned_wish
 from labos.core.effects import find_labware_used, list_carried
-from labos.core.ids import SHARED, ActionId, LabwareId, ModuleName, Owner, RunId, StationName
+from labos.core.ids import (
+    SHARED,
+    ActionId,
+    LabwareId,
+    ModuleName,
+    Owner,
+    RunId,
+    StationName,
+    find_owning_run,
+    split_key,
+)
 from labos.core.leaving import will_leave
 from labos.core.model import Plan, Together
 from labos.core.modules import Module
@@ -55,9 +65,8 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
             place = find_destination(state.bench, item)
             if place:
                 places[place] = places.get(place, 0) + 1
-        if owner.startswith("run:"):
-            for target in find_arriving(state, RunId(owner[4:])):
-                places[target] = places.get(target, 0) + 1
+        for target in find_arriving(state, run) if (run := find_owning_run(owner)) else ():
+            places[target] = places.get(target, 0) + 1
     return places, lost
 
 
@@ -213,7 +222,7 @@ def let_in(floor: Floor, actor: Actor) -> None:
 
 def _is_pool(owner: Owner) -> bool:
     """Whether labware of an owner is there for several runs."""
-    return owner == SHARED or owner.startswith(("user:", "experiment:"))
+    return split_key(owner)[0] in (SHARED, "user", "experiment")
 
 
 def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:

@@ -70,7 +70,7 @@ def _explain_obstacle(
 ) -> str:
     for key, value in motion.wants:
         if not is_same(floor.values.get(key), value):
-            return f"needs {key.partition('/')[2]} = {value}, which no step will have set"
+            return f"needs {local(key)} = {value}, which no step will have set"
     met = Met(floor, walker, state, others)
     if not motion.target:
         full = check_rooms(met, motion)

@@ -16,15 +16,12 @@ import msgspec
 
 from labos.core.actions import Action, ActionStatus
 from labos.core.effects import list_carried
-from labos.core.ids import Owner, RunId, StationName, run_owner
+from labos.core.ids import Owner, RunId, deck_key, run_owner
 from labos.core.model import MAIN, Plan
 from labos.core.runs import PENDING, SETTLED, SKIPPED, RunState, RunStatus, find_holds
 from labos.core.state import LabState
-from labos.core.waits import station_key
 from labos.planning.forecast import find_usual_time
-from labos.planning.taken import list_taken
-
-DECK = "deck:"
+from labos.planning.taken import count_room, find_station, is_deck, list_counted_keys, list_taken
 
 SEARCH_LIMIT = 20
 """Orders of steps that are tried before a start counts as unsafe."""
@@ -74,37 +71,25 @@ class Ways:
             gets: list[int] = []
             frees: list[int] = []
             for what in list_carried(step.effects):
-                for key in self._list_counted(state, what.emptied):
+                for key in list_counted_keys(state, what.emptied):
                     left = standing[key] = max(0, standing.get(key, 0) - 1)
-                    if not (key.startswith(DECK) and left):
+                    if not (is_deck(key) and left):
                         frees.append(self._find_number(state, key))
-                for key in self._list_counted(state, what.filled):
-                    if not (key.startswith(DECK) and standing.get(key, 0)):
+                for key in list_counted_keys(state, what.filled):
+                    if not (is_deck(key) and standing.get(key, 0)):
                         gets.append(self._find_number(state, key))
                     standing[key] = standing.get(key, 0) + 1
             takes = tuple(self._find_number(state, key) for key in list_taken(state, step))
             after = tuple(followers.get(index, ()))
             yield Task(takes, tuple(gets), tuple(frees), after, len(step.after), step.part == MAIN)
 
-    def _list_counted(self, state: LabState, place: StationName) -> list[str]:
-        station = state.bench.stations.get(place)
-        if station is None or station.spec.kind in ("stack", "waste"):
-            return []
-        keys = [station_key(place)]
-        return [*keys, f"{DECK}{station.spec.claim}"] if station.spec.claim else keys
-
     def _find_number(self, state: LabState, key: str) -> int:
         number = self.numbers.get(key)
         if number is None:
             number = self.numbers[key] = len(self.names)
             self.names.append(key)
-            station = state.bench.stations.get(StationName(key.partition(":")[2]))
-            room = 1
-            if station is not None and key.startswith("station:"):
-                shelves = state.bench.shelves.get(station.spec.name, [])
-                shelved = sum(state.bench.stations[shelf].spec.capacity for shelf in shelves)
-                room = shelved or station.spec.capacity
-            self.room.append(room)
+            station = find_station(state, key)
+            self.room.append(1 if station is None else count_room(state, station))
         return number
 
 
@@ -182,19 +167,17 @@ class Outline:
 
     def _see_strangers(self, state: LabState, owners: set[Owner], ways: Ways) -> None:
         """Labware of nobody inside takes up room as well."""
-        bench = state.bench
         for number, key in enumerate(ways.names):
-            kind, _, name = key.partition(":")
-            station = bench.stations.get(StationName(name)) if kind == "station" else None
+            station = find_station(state, key)
             strangers = sum(
-                bench.labware[labware].owner not in owners
+                state.bench.labware[labware].owner not in owners
                 for labware in (station.labware if station is not None else ())
             )
             if station is None or not strangers:
                 continue
             self.used[number] += strangers
             self.floor[number] += strangers
-            deck = ways.numbers.get(f"{DECK}{station.spec.claim}")
+            deck = ways.numbers.get(deck_key(station.spec.claim))
             if deck is not None:
                 self.used[deck] += 1
                 self.floor[deck] += 1

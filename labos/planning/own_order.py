@@ -498,7 +498,7 @@ class OrderSearch:
         for motion in self._motions[who]:
             _, _, _, gets, frees = motion.parts[0]
             sets_out = is_outside and not places
-            last = -1
+            last: int | None = None
             while True:
                 if all(used[place][key] + held.get(key, 0) < room[key] for key in gets):
                     last = place
@@ -509,7 +509,7 @@ class OrderSearch:
                 if any(peaks[place][key] + count > room[key] for key, count in held.items()):
                     break
                 place += 1
-            if last < 0:
+            if last is None:
                 return None
             place = last
             places.append(place)

@@ -12,11 +12,11 @@ from __future__ import annotations
 from labos.core import reasons
 from labos.core.actions import ActionStatus
 from labos.core.effects import Carrying
-from labos.core.ids import RunId
+from labos.core.ids import RunId, module_key, station_key, zone_key
 from labos.core.model import PlanStep
 from labos.core.runs import SETTLED, RunState, find_holds
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key, station_key, zone_key
+from labos.core.waits import Wait
 from labos.core.zones import find_zones
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE

@@ -16,11 +16,12 @@ from collections.abc import Callable, Sequence
 import msgspec
 
 from labos.core import reasons
+from labos.core.ids import module_key, split_key
 from labos.core.reasons import AnyReason
 from labos.core.recurrence import in_zone
 from labos.core.runs import RunState
 from labos.core.state import LabState
-from labos.core.waits import Wait, module_key
+from labos.core.waits import Wait
 from labos.planning.outline import Outline, Ways
 from labos.planning.touch import cell_key, near_key
 
@@ -44,9 +45,6 @@ class Candidate(msgspec.Struct, frozen=True):
     step: int
     early: bool = False
 
-
-NOBODY = -1
-"""In place of a run's number: no run starts for now."""
 
 Value = tuple[int, int]
 """How good a play was: less is better (see ``Outline.value``)."""
@@ -79,7 +77,7 @@ class Pilot:
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return _make_wait(state, outline, cell) if first.early else first
-        plays: list[tuple[Value, int]] = []
+        plays: list[tuple[Value, int | None]] = []  # without a number: no run starts for now
         for number, run in enumerate(waiting):
             step = first.step if not number else state.runs.plans[run.plan].starts[0]
             witness = None
@@ -93,14 +91,14 @@ class Pilot:
             later = outline.copy()
             later.advance()
             self.plays += 1
-            plays.append((later.go_on().value, NOBODY))
+            plays.append((later.go_on().value, None))
         early: Candidate | None = None
         early_end = 0
-        for value, number in sorted(plays, key=lambda play: (play[0], play[1] == NOBODY, play[1])):
-            if number == NOBODY:
+        for value, chosen in sorted(plays, key=lambda play: (play[0], play[1] is None, play[1] or 0)):
+            if chosen is None:
                 candidate = None
             else:
-                candidate = first if not number else find_candidate(waiting[number])
+                candidate = first if not chosen else find_candidate(waiting[chosen])
                 if candidate is None:
                     continue
                 if candidate.early:
@@ -141,7 +139,7 @@ class Pilot:
         if not waits:
             return _make_wait(state, outline, cell)
         _, which, key = max(waits)
-        place = self._ways[cell].names[key].partition(":")[2]
+        place = split_key(self._ways[cell].names[key])[1]
         why = reasons.HoldsUp(str(outline.runs[which[0]].id), place, in_zone(begun[which], "UTC"))
         return _make_wait(state, outline, cell, why)
 

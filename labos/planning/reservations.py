@@ -24,12 +24,12 @@ from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.booked import find_begun_booking
 from labos.core.effects import list_carried
-from labos.core.ids import RunId, StationName, workcell_of
+from labos.core.ids import ModuleName, RunId, module_key, split_key, workcell_of, zone_key
 from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.core.waits import Wait, module_key, zone_key
+from labos.core.waits import Wait
 from labos.core.zones import find_zones
 from labos.planning.forecast import (
     find_deadline,
@@ -47,6 +47,7 @@ from labos.planning.keeping import CALM_S, Windows
 from labos.planning.layout import is_down
 from labos.planning.player import FAR
 from labos.planning.safety import Safety
+from labos.planning.taken import find_station
 from labos.planning.touch import cell_key, window_key
 
 NEVER = 2**63 - 1
@@ -198,7 +199,7 @@ class Reservations:
         plan = state.runs.plan_of(run)
         times = [at for helpers in self._helpers.values() for at in helpers.times if at > now]
         return Wait(
-            reasons.Reserved(need.resource.partition(":")[2], str(found.run), plan.steps[need.step].key),
+            reasons.Reserved(split_key(need.resource)[1], str(found.run), plan.steps[need.step].key),
             (cell_key(plan.workcell), window_key(found.run), *{need.resource: True for need in found.needs}),
             until=min([*times, found.deadline + 1]),
         )
@@ -246,7 +247,7 @@ class Reservations:
                     return self._wait(state, rivals[0], need, now)
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
-                name = resource.partition(":")[2]
+                _, name = split_key(resource)
                 # It need not have ended, nor its labware have left: only soon enough for who follows.
                 leaves = end + _measure_clearing(state, resource)
                 again = max(now + convert_lab_s(state, CALM_S), now + _measure_lateness(ours, leaves))
@@ -365,7 +366,7 @@ def _list_jobs(found: Reservation, resource: str, now: int) -> list[Need]:
 
 def _list_needs_in_flight(state: LabState, resource: str, now: int) -> list[Need]:
     """What is being carried out on a module or in a zone, as long as it should still take."""
-    cell = resource.partition(":")[2].partition("/")[0]
+    cell = workcell_of(ModuleName(split_key(resource)[1]))
     return [
         Need(resource, action.step, now, now, end - now)
         for action, end in _list_in_flight(state, cell)
@@ -375,7 +376,7 @@ def _list_needs_in_flight(state: LabState, resource: str, now: int) -> list[Need
 
 def _measure_clearing(state: LabState, resource: str) -> int:
     """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
-    cell = resource.partition(":")[2].partition("/")[0]
+    cell = workcell_of(ModuleName(split_key(resource)[1]))
     found = 0
     for action, _ in _list_in_flight(state, cell):
         if resource == module_key(action.module):
@@ -392,8 +393,7 @@ def _list_taken(state: LabState, action: Action) -> list[str]:
 
 def _find_room(state: LabState, resource: str) -> int:
     """How many may have a resource at the same time: at a place less those that do not leave it next."""
-    kind, _, name = resource.partition(":")
-    station = state.bench.stations[StationName(name)] if kind == "station" else None
+    station = find_station(state, resource)
     if station is None or station.spec.capacity < 2:
         return 1
     leaving = 0

@@ -24,7 +24,7 @@ from labos.core.effects import (
     name_hand,
     rename_places,
 )
-from labos.core.ids import ModuleName, Owner, RunId, StationName, run_owner
+from labos.core.ids import ModuleName, Owner, RunId, StationName, find_owning_run, run_owner, workcell_of
 from labos.core.model import PlanStep
 from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
@@ -55,20 +55,20 @@ class Scene:
         for place, station in bench.stations.items():
             for labware in station.labware if not station.spec.hotel else ():
                 item = bench.labware[labware]
-                self.standing.setdefault(place, []).append((item.owner, (_run_of(item.owner), None)))
+                self.standing.setdefault(place, []).append((item.owner, (find_owning_run(item.owner), None)))
                 if item.lender:
-                    self._lend(_run_of(item.owner), place, item.lender)
+                    self._lend(find_owning_run(item.owner), place, item.lender)
         for name in state.runs.holders:
             self.held[name] = {str(run): None for run in state.runs.list_holders(name)}
         for name, module in state.modules.by_name.items():
-            if name.startswith(f"{cell}/"):
+            if workcell_of(name) == cell:
                 for variable, known in module.variables.items():
                     self.values[name, variable] = known.value, (known.by, None)
                 for setpoint, now_set in module.setpoints.items():
                     self.setpoints[name, setpoint] = {str(r): (now_set.value, None) for r in now_set.holders}
         for action in state.actions.open.values():
             run = state.runs.active.get(action.run)
-            if run is None or not action.module.startswith(f"{cell}/"):
+            if run is None or workcell_of(action.module) != cell:
                 continue
             step = state.runs.plan_of(run).steps[action.step]
             end = max(
@@ -366,8 +366,3 @@ class Turn:
 
     def check_amount(self, consumes: Consumes) -> Who | None:
         return None
-
-
-def _run_of(owner: str) -> str:
-    """The run that owns labware; empty if none does."""
-    return owner[4:] if owner.startswith("run:") else ""

@@ -20,7 +20,15 @@ from labos.core import reasons
 from labos.core.decide import Command
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import has_open_action
-from labos.core.ids import ActionId, ExperimentId, InterventionId, ModuleName, RunId, workcell_of
+from labos.core.ids import (
+    ActionId,
+    ExperimentId,
+    InterventionId,
+    ModuleName,
+    RunId,
+    find_owning_run,
+    workcell_of,
+)
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
@@ -293,8 +301,8 @@ class Scheduler:
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
-            if key.startswith("run:"):
-                names.update(dict.fromkeys(self._list_run_steps(state, RunId(key[4:])), True))
+            if run := find_owning_run(key):
+                names.update(dict.fromkeys(self._list_run_steps(state, run), True))
             else:
                 names |= self.sleepers.find_waiting(key)
         if touched.whole:
@@ -332,7 +340,7 @@ class Scheduler:
         changed: list[str] = []
         for cell in [cell for cell, runs in state.runs.windowed_in.items() if runs]:
             waiting = self.admission.list_next(state, cell, MOST_WAITING, now)
-            if orders.update(state, cell, waiting, partial(self.room.count_passed_over, cell), now):
+            if orders.update(state, cell, waiting, partial(self.room.count_overtakings, cell), now):
                 changed.append(cell)
         return changed
 
@@ -409,6 +417,8 @@ class Scheduler:
 
     def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
         run: RunState | None = first
+        if first.id not in state.runs.queued:  # another bundle's look ahead has let it in meanwhile
+            run = self.admission.find_first(state, bundle, now)
         while run is not None:
             chosen = self.admission.choose(state, bundle, run, now)
             if not isinstance(chosen, Candidate):

@@ -14,13 +14,23 @@ from labos.core.bench import Labware, find_variable
 from labos.core.binding import check_module, find_unfit_labware, find_unreserved, find_usable, is_same
 from labos.core.booked import find_begun_booking
 from labos.core.effects import Carrying, Needs, Requires, Sets, list_places
-from labos.core.ids import LabwareId, ModuleName, Owner, StationName, run_owner
+from labos.core.ids import (
+    LabwareId,
+    ModuleName,
+    Owner,
+    StationName,
+    module_key,
+    run_key,
+    run_owner,
+    station_key,
+    zone_key,
+)
 from labos.core.model import MAIN, PlanStep
 from labos.core.rules import check_starts_allowed, find_person_wait
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
-from labos.core.waits import Wait, module_key, run_key, station_key, zone_key
+from labos.core.waits import Wait
 from labos.core.watching import find_unwatched
 from labos.core.zones import find_barred_zones, find_zones
 

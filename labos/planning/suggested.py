@@ -27,14 +27,14 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.effects import list_carried
-from labos.core.ids import RunId
+from labos.core.ids import RunId, split_key, station_key
 from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.core.waits import Wait, station_key
+from labos.core.waits import Wait
 from labos.planning.forecast import find_deadline, find_usual_time, is_pending
 from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken
@@ -155,7 +155,7 @@ class Adviser:
                 why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
                 again, until = self.own.goes_on_at(plan.workcell), min(until, enough) + 1
                 return Wait(
-                    why(str(other.id), resource.partition(":")[2]),
+                    why(str(other.id), split_key(resource)[1]),
                     (cell_key(plan.workcell),),
                     until if again is None else min(until, again),
                 )

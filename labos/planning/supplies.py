@@ -19,7 +19,7 @@ SupplyNeeds = tuple[tuple[tuple[ModuleName, str], float], ...]
 def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
     """Whether the supplies, the labware in stacks and the room in waste places are enough for these runs. A
     stack counts only if its contents are known."""
-    supplies: dict[tuple[str, str], float] = {}
+    supplies: dict[tuple[ModuleName, str], float] = {}
     places: dict[tuple[str, bool], int] = {}
     for run in runs:
         for index, module, resource, amount in state.runs.plans[run.plan].uses_up:
@@ -32,9 +32,9 @@ def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
                         places[what.stock, True] = places.get((what.stock, True), 0) + 1
                     if what.filled:
                         places[what.filled, False] = places.get((what.filled, False), 0) + 1
-    for (where, resource), amount in supplies.items():
-        level = state.resources.levels.get(f"{where}:{resource}")
-        if level is not None and amount > level.level:
+    for supply, amount in supplies.items():
+        left = state.resources.find_left(*supply)
+        if left is not None and amount > left:
             return False
     for place, station in state.bench.stations.items():
         taken, brought = places.get((place, True), 0), places.get((place, False), 0)

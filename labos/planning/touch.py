@@ -19,7 +19,20 @@ from labos.core.approvals import ApprovalGiven, RunApproved
 from labos.core.booked import booking_key
 from labos.core.bookings import BookingEvent, BookingNeared, BookingTerms
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentStarted
-from labos.core.ids import ExperimentId, LabwareId, ModuleName, RunId, StationName, workcell_of
+from labos.core.ids import (
+    ExperimentId,
+    LabwareId,
+    ModuleName,
+    RunId,
+    StationName,
+    access_key,
+    module_key,
+    run_key,
+    split_key,
+    station_key,
+    workcell_of,
+    zone_key,
+)
 from labos.core.interventions import InterventionOverdue, InterventionRequested, InterventionResolved
 from labos.core.lab import (
     AccessEnded,
@@ -75,7 +88,6 @@ from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected, WindowBreached
 from labos.core.suggestions import OrderSuggested
 from labos.core.users import GroupRemoved, MemberAdded, MemberRemoved
-from labos.core.waits import access_key, module_key, run_key, station_key, zone_key
 from labos.core.zones import find_zones
 
 EVERYTHING = "*"
@@ -101,8 +113,8 @@ def sort_keys(keys: Iterable[str]) -> Touched:
     ordered = sorted(set(keys))
     named: dict[str, list[str]] = {}
     for key in ordered:
-        kind, colon, name = key.partition(":")
-        if colon:
+        kind, name = split_key(key)
+        if not key.startswith(EVERYTHING):
             named.setdefault(kind, []).append(name)
         elif key != EVERYTHING:
             named.setdefault(EVERYTHING, []).append(key.removeprefix(EVERYTHING))

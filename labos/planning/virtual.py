@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -110,7 +111,8 @@ HORIZON_NS = 30 * 24 * 3600 * 10**9
 class VirtualLab:
     """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are the plans of rows of campaigns,
     which stand for all their rows, in turn; ``most_rows`` of a campaign become runs. With ``orders``, it
-    looks for orders of its own as a lab does, and goes on from these; with None, the order is by age."""
+    looks for orders of its own as a lab does, and goes on from these; with None, the order is by age.
+    ``overtaken`` says how often waiting runs were overtaken before."""
 
     def __init__(
         self,
@@ -122,6 +124,7 @@ class VirtualLab:
         most_rows: int = MOST_RUNS,
         most_steps: int = MOST_STEPS,
         orders: Mapping[str, OwnOrder] | None = None,
+        overtaken: Mapping[RunId, float] = MappingProxyType({}),
     ) -> None:
         self.state, self.now, self.play = state, now, Play()
         self._lasts = lasts
@@ -133,6 +136,9 @@ class VirtualLab:
         self._admitted: dict[CampaignId, int] = {}
         self._keys: set[str] = set()
         self._scheduler = Scheduler() if orders is None else make_searching_scheduler(orders)
+        for name, times in overtaken.items():
+            if times and name in state.runs.queued:
+                self._scheduler.room.overtake(state, state.runs.queued[name], times)
         self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._ends: dict[ActionId, int] = {}
@@ -206,6 +212,8 @@ class VirtualLab:
                 planned = isinstance(event.topic, PlannedWork)
                 remedy = f"labos resolve {event.intervention}"
                 self._touch(ForeseenTouch(self.now, event.text, remedy, event.run, planned))
+            case _:
+                pass
 
     # -- going on ----------------------------------------------------------------------------
 

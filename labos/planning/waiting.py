@@ -24,6 +24,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     experiment_owner,
+    split_key,
     user_owner,
     workcell_of,
 )
@@ -53,7 +54,7 @@ class Kind(msgspec.Struct, frozen=True):
 
 
 class WaitingRoom:
-    """Bundles by name, and how often the oldest of each was passed over. Keeps nothing that could
+    """Bundles by name, and how often the oldest of each was overtaken. Keeps nothing that could
     not be worked out again from the state, but the counts. All runs of a bundle wait in one workcell."""
 
     def __init__(self) -> None:
@@ -67,7 +68,7 @@ class WaitingRoom:
         self._interests: dict[str, frozenset[StationName]] = {}
         self._oldest: dict[str, tuple[int, str]] = {}
         self._kinds: dict[str, Kind] = {}
-        self._passed_over: dict[str, dict[RunId, float]] = {}
+        self._overtakings: dict[str, dict[RunId, float]] = {}
         self._gone: list[str] = []
 
     # -- who is here -------------------------------------------------------------------------
@@ -201,7 +202,7 @@ class WaitingRoom:
             self._oldest[bundle] = (oldest.position, group)
         return oldest
 
-    # -- runs that were passed over ----------------------------------------------------------
+    # -- runs that were overtaken ------------------------------------------------------------
 
     def let_in(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
         """Count against the oldest of every bundle of the workcell, if it is older than the run let in and
@@ -215,32 +216,32 @@ class WaitingRoom:
                 continue
             if not mine.isdisjoint(list_modules(state, elder)):
                 goes_first = urgent or run.priority > elder.priority
-                self.pass_over(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
+                self.overtake(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
 
-    def pass_over(self, state: LabState, elder: RunState, times: float = 1) -> None:
+    def overtake(self, state: LabState, elder: RunState, times: float = 1) -> None:
         """A younger run of its workcell was let in before a run that waits."""
-        counts = self._passed_over.setdefault(state.runs.plan_of(elder).workcell, {})
+        counts = self._overtakings.setdefault(state.runs.plan_of(elder).workcell, {})
         counts[elder.id] = counts.get(elder.id, 0) + times
 
-    def count_passed_over(self, cell: str, run: RunId) -> float:
-        """How often a run was passed over in a workcell."""
-        return self._passed_over.get(cell, {}).get(run, 0)
+    def count_overtakings(self, cell: str, run: RunId) -> float:
+        """How often a run was overtaken in a workcell."""
+        return self._overtakings.get(cell, {}).get(run, 0)
 
     def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
-        """The runs that were passed over too often in a workcell."""
-        counts = self._passed_over.get(cell, {})
+        """The runs that were overtaken too often in a workcell."""
+        counts = self._overtakings.get(cell, {})
         for name in [name for name in counts if name not in state.runs.queued]:
             del counts[name]
         return [state.runs.queued[name] for name, count in counts.items() if round(count, 6) >= PATIENCE]
 
     def is_overtaken(self, state: LabState, run: RunState) -> bool:
-        """Whether a waiting run was passed over too often."""
+        """Whether a waiting run was overtaken too often."""
         overtaken = self.list_overtaken(state, state.runs.plan_of(run).workcell)
         return any(other.id == run.id for other in overtaken)  # it may be here with another of its plans
 
     def forget(self, run: RunId, cell: str) -> None:
         """A run waits no more."""
-        self._passed_over.get(cell, {}).pop(run, None)
+        self._overtakings.get(cell, {}).pop(run, None)
 
     # -- inside ------------------------------------------------------------------------------
 
@@ -363,7 +364,7 @@ def _find_present(state: LabState, cell: str) -> dict[Owner, frozenset[StationNa
     inside is there too."""
     found: dict[Owner, set[StationName]] = {}
     for item in list_labware_in(state, cell):
-        if item.owner.startswith(("user:", "experiment:")):
+        if split_key(item.owner)[0] in ("user", "experiment"):
             places = [p for p in _list_places(state.bench, item) if workcell_of(p) == cell]
             if places:
                 found.setdefault(item.owner, set()).update(places)

@@ -16,21 +16,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from itertools import islice
-from typing import Any
 
 import msgspec
 
 from labos.core.actions import Action, ActionStatus
 from labos.core.effects import Carrying, Consumes, Needs
-from labos.core.ids import RunId, run_owner
+from labos.core.ids import RunId, deck_key, run_owner
 from labos.core.model import MAIN, Plan
 from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
+from labos.planning.chains import Chain, Fit, Leg, SlotTable
 from labos.planning.forecast import find_usual_time
-from labos.planning.outline import DECK, Task, Ways
+from labos.planning.outline import Task, Ways
+from labos.planning.taken import find_station
 from labos.planning.window_waits import WaitSpan, share_waits
 
 OWN_WINDOWS = "labos, windows"
@@ -79,7 +79,7 @@ KNOWN = (Carrying, Needs, Consumes)
 """Effects that the timetable knows."""
 
 Value = tuple[int, float]
-"""How many runs do not fit in or are passed over too often, and when all is over: less is better."""
+"""How many runs do not fit in or are overtaken too often, and when all is over: less is better."""
 
 
 class StepChain(msgspec.Struct, frozen=True):
@@ -114,6 +114,27 @@ class PlannedCell(msgspec.Struct):
     now: int
 
 
+class CellSearch(msgspec.Struct):
+    """What is known of the search in one workcell."""
+
+    members: tuple[tuple[RunId, ...], tuple[RunId, ...]] | None = None
+    """The runs inside and those that wait for which was searched last."""
+    line: list[RunId] | None = None
+    """The best order of the runs."""
+    last: list[RunId] = []
+    """The order with which the search ended."""
+    late: dict[RunId, bool] = {}
+    """Runs that did not start in time: they are left out."""
+    seen: object = None
+    """How far the runs inside had come when one was late last."""
+    statuses: object = None
+    """How far they had come when the order was made."""
+    looked: int = 0
+    """When was searched last (UTC ns)."""
+    tried: int = 0
+    """How many orders were tried."""
+
+
 class WindowOrders:
     """The orders of workcells where clocks run. ``orders`` are those that count now; ``tries`` counts the
     timetables that were made."""
@@ -123,14 +144,7 @@ class WindowOrders:
         self.tries = 0
         self._patience = patience
         self._ways: dict[str, Ways] = {}
-        self._lines: dict[str, list[RunId]] = {}
-        self._members: dict[str, tuple[tuple[RunId, ...], tuple[RunId, ...]]] = {}
-        self._late: dict[str, dict[RunId, bool]] = {}
-        self._seen: dict[str, object] = {}
-        self._looked: dict[str, int] = {}
-        self._tried: dict[str, int] = {}
-        self._last: dict[str, list[RunId]] = {}
-        self._statuses: dict[str, object] = {}
+        self._searches: dict[str, CellSearch] = {}
 
     def forget(self, cell: str) -> None:
         """The bench of a workcell has changed."""
@@ -140,59 +154,49 @@ class WindowOrders:
     def remember(self, other: WindowOrders) -> None:
         """Begin with the orders of another scheduler."""
         self.orders.update(other.orders)
-        self._lines.update({cell: list(line) for cell, line in other._lines.items()})
-        self._members.update(other._members)
-        self._late.update({cell: dict(late) for cell, late in other._late.items()})
-        self._seen.update(other._seen)
-        self._looked.update(other._looked)
-        self._tried.update(other._tried)
-        self._last.update({cell: list(line) for cell, line in other._last.items()})
-        self._statuses.update(other._statuses)
+        for cell, search in other._searches.items():
+            self._searches[cell] = msgspec.structs.replace(search, late=dict(search.late))
 
     def drop(self, cell: str) -> None:
         """There is no order for a workcell any more."""
-        for store in self._list_stores():
-            store.pop(cell, None)
-
-    def _list_stores(self) -> Iterable[dict[str, Any]]:
-        yield from (self.orders, self._lines, self._members, self._late, self._seen, self._looked)
-        yield from (self._tried, self._last, self._statuses)
+        self.orders.pop(cell, None)
+        self._searches.pop(cell, None)
 
     def find_next_look(self) -> int | None:
         """When the search goes on even if nothing happens (UTC ns); None if it is over."""
-        left = [cell for cell in self.orders if self._tried[cell] < ENOUGH_EACH * len(self._members[cell][1])]
-        return min((self._looked[cell] + BREATH_NS for cell in left), default=None)
+        searches = [self._searches[cell] for cell in self.orders]
+        left = [s for s in searches if s.members is not None and s.tried < ENOUGH_EACH * len(s.members[1])]
+        return min((search.looked + BREATH_NS for search in left), default=None)
 
     def update(
         self,
         state: LabState,
         cell: str,
         waiting: Sequence[RunState],
-        passed: Callable[[RunId], float],
+        overtakings: Callable[[RunId], float],
         now: int,
     ) -> bool:
         """See to it that the order of a workcell fits what is inside and waits (the first one first); returns
-        whether it is another one. ``passed`` tells how often a run was passed over."""
+        whether it is another one. ``overtakings`` tells how often a run was overtaken."""
         if state.suggestions.find(cell, now) is not None:
             self.drop(cell)
             return False
+        search = self._searches.setdefault(cell, CellSearch())
         inside = state.runs.list_inside(cell)
-        late = self._late.setdefault(cell, {})
+        late = search.late
         waiting = [run for run in waiting if run.id not in late][:MOST_WAITING]
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
-        known, order = self._members.get(cell), self.orders.get(cell)
+        known, order = search.members, self.orders.get(cell)
         tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
         if known == members:
-            if order is None:
-                return False
-            if self._looked.get(cell) == now:
+            if order is None or search.looked == now:
                 return False
             if not _is_on_time(state, order, now):
                 # Once for all that has happened: what the rules do not let start is not waited for again.
                 seen = tuple(tuple(run.statuses) for run in inside)
-                if self._seen.get(cell) == seen:
+                if search.seen == seen:
                     return False
-                self._seen[cell] = seen
+                search.seen = seen
                 late.update(dict.fromkeys(_list_late(state, order, now), True))
                 waiting = [run for run in waiting if run.id not in late]
                 members = (members[0], tuple(run.id for run in waiting))
@@ -201,20 +205,40 @@ class WindowOrders:
         elif known is not None:
             tries = TRIES_NEW
         come = {*members[1]} - {*(known[1] if known is not None else ())}
-        self._tried[cell] = max(0, self._tried.get(cell, 0) - ENOUGH_EACH * len(come))
-        self._members[cell], self._looked[cell] = members, now
-        before = self._lines.get(cell)
-        found = self._search(state, cell, inside, waiting, passed, now, tries)
+        search.tried = max(0, search.tried - ENOUGH_EACH * len(come))
+        search.members, search.looked, before = members, now, search.line
+        found = self._search(state, cell, inside, waiting, overtakings, now, tries)
         if found is None:
-            self._lines.pop(cell, None)
+            search.line = None
             return self.orders.pop(cell, None) is not None
         statuses = tuple(tuple(run.statuses) for run in inside)
-        is_same = known == members and self._lines[cell] == before and self._statuses.get(cell) == statuses
-        self._statuses[cell] = statuses
+        is_same = known == members and search.line == before and search.statuses == statuses
+        search.statuses = statuses
         if is_same and order is not None and _is_on_time(state, order, now):
             return False  # nothing has happened, and nothing better was found
         self.orders[cell] = found
         return order is None or order.steps != found.steps
+
+    def search_longer(
+        self,
+        state: LabState,
+        cell: str,
+        runs: Sequence[RunState],
+        overtakings: Callable[[RunId], float],
+        now: int,
+        tries: int,
+    ) -> OrderSuggested | None:
+        """The best order of these runs in so many tries, whatever counts now; None if there is none. It is
+        not kept."""
+        inside = [run for run in runs if run.has_started]
+        waiting = [run for run in runs if not run.has_started]
+        found: OrderSuggested | None = None
+        self._searches.setdefault(cell, CellSearch())
+        for _ in range(0, tries, CYCLE):
+            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE))
+            if found is None:
+                return None
+        return found
 
     def _search(
         self,
@@ -222,7 +246,7 @@ class WindowOrders:
         cell: str,
         inside: Sequence[RunState],
         waiting: Sequence[RunState],
-        passed: Callable[[RunId], float],
+        overtakings: Callable[[RunId], float],
         now: int,
         tries: int,
     ) -> OrderSuggested | None:
@@ -236,8 +260,9 @@ class WindowOrders:
         if layout is None:
             return None
         for run in waiting:
-            layout.members[run.id].limit = max(0, math.ceil(self._patience - passed(run.id)))
-        known = [name for name in self._lines.get(cell, ()) if name in layout.members]
+            layout.members[run.id].limit = max(0, math.ceil(self._patience - overtakings(run.id)))
+        found = self._searches[cell]
+        known = [name for name in found.line or () if name in layout.members]
         new = [name for name in layout.members if name not in known]
         search = _Search(layout, now)
         by_work = sorted(
@@ -246,14 +271,14 @@ class WindowOrders:
         lines = [[*known, *new], by_work]
         if known and new:
             lines.append([name for name in by_work if name in new] + known)
-        last = [name for name in self._last.get(cell, ()) if name in layout.members]
+        last = [name for name in found.last if name in layout.members]
         here = last if len(last) == len(layout.members) else None
-        best, here = search.improve(lines, tries, here, self._tried[cell])
+        best, here = search.improve(lines, tries, here, found.tried)
         self.tries += search.tries
-        self._tried[cell] += search.tries
+        found.tried += search.tries
         if best is None:
             return None
-        self._lines[cell], self._last[cell] = best.line, here
+        found.line, found.last = best.line, here
         fits = zip(best.line, best.fits, strict=True)
         return _suggest(state, cell, layout, {name: fit for name, fit in fits if fit is not None})
 
@@ -398,14 +423,13 @@ def _lay_out(
     table = SlotTable(len(ways.room), int(total / slot * 1.3) + 64)
     owners = {run_owner(run.id) for run in runs}
     for key, number in ways.numbers.items():
-        kind, _, name = key.partition(":")
-        station = state.bench.stations.get(name) if kind == "station" else None  # type: ignore[call-overload]
+        station = find_station(state, key)
         if station is None or station.spec.kind in ("stack", "waste"):
             continue
         if any(state.bench.labware[labware].owner not in owners for labware in station.labware):
             if ways.room[number] == 1:
                 table.taken[number] = table.full
-            deck = ways.numbers.get(f"{DECK}{station.spec.claim}")
+            deck = ways.numbers.get(deck_key(station.spec.claim))
             if deck is not None and station.spec.claim:
                 table.taken[deck] = table.full
     return PlannedCell(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)
@@ -499,7 +523,7 @@ def _make_member(
         takes = dict.fromkeys(k for k in (*task.takes, *task.gets) if ways.room[k] == 1)
         holds = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
         wait = _up(least, slot)
-        longest = UNLIMITED if most is None else max(wait, most // slot)
+        longest = None if most is None else max(wait, most // slot)
         legs.append(
             Leg(
                 tuple(k for k in takes if k not in holds),
@@ -540,7 +564,8 @@ def _since_clocks(
     least, most = 0, None
     for later in range(first, len(line.steps)):
         for window in plan.steps[line.steps[later]].windows:
-            anchor = line.steps.index(window.anchor) if window.anchor is not None else -1
+            assert window.anchor is not None  # of another run's clock nothing is known: see _read_line
+            anchor = line.steps.index(window.anchor)
             ended = find_anchor(run, window)
             if ended is None and anchor == first - 1:
                 ended = end

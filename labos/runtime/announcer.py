@@ -12,6 +12,7 @@ from labos.errors import BusError
 from labos.node.protocol import Keys
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
+from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry
 
 LONGEST_BACKLOG = 10_000
@@ -21,7 +22,7 @@ the log)."""
 _log = structlog.get_logger(__name__)
 
 
-class Announcer:
+class Announcer(Listener):
     """Publishes ``{"envelope": …, "payload": …}`` on ``labos/<lab>/@events/<family>``, in order."""
 
     def __init__(self, kernel: Kernel, bus: Bus) -> None:
@@ -47,9 +48,6 @@ class Announcer:
                 self._backlog.get_nowait()
                 self.left_out += 1
             self._backlog.put_nowait(entry)
-
-    def on_reopened(self) -> None:
-        """Events that were not written were never published."""
 
     async def _announce(self) -> None:
         while True:

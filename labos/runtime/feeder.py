@@ -7,8 +7,7 @@ is room for it. So the feeder stores nothing, and may be killed at any moment.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Awaitable, Callable, Sequence
 
 import structlog
 
@@ -35,19 +34,15 @@ RETRY_S = 5.0
 _log = structlog.get_logger(__name__)
 
 
-class RowSource(Protocol):
-    """Knows the rows of campaigns."""
-
-    async def propose(self, campaign: Campaign, row: int) -> SubmitRow | RefuseRow:
-        """The command that makes a run of a row, or the reason why that is impossible. An error that it
-        raises counts as temporary."""
+Propose = Callable[[Campaign, int], Awaitable[SubmitRow | RefuseRow]]
 
 
 class Feeder:
-    """Proposes rows as long as there is room. One for each kernel."""
+    """Proposes rows as long as there is room. One for each kernel. ``propose`` makes the command that submits
+    a row of a campaign, or that says why this is impossible; an error that it raises counts as temporary."""
 
-    def __init__(self, kernel: Kernel, rows: RowSource) -> None:
-        self._kernel, self._rows = kernel, rows
+    def __init__(self, kernel: Kernel, propose: Propose) -> None:
+        self._kernel, self._propose = kernel, propose
         self._bell = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
@@ -93,7 +88,7 @@ class Feeder:
                 continue
             first, rows = campaign.next_row, list[SubmitRow | RefuseRow]()
             while len(rows) < campaign.room and not explain_full_queue(state, campaign.user, len(rows)):
-                rows.append(await self._rows.propose(campaign, first + len(rows)))
+                rows.append(await self._propose(campaign, first + len(rows)))
             answer = self._kernel.submit(SubmitRows(tuple(rows)), "labos") if rows else []
             taken = taken or (not isinstance(answer, Rejection) and bool(answer))
         return taken

@@ -25,7 +25,7 @@ from labos.planning.scheduler import Scheduler
 from labos.ports import EventStore, Head
 from labos.runtime.kernel import make_error
 from labos.runtime.kernel_log import Listener
-from labos.runtime.ledger import Entry, load
+from labos.runtime.ledger import Entry, find_hash, load
 
 POLL_S = 0.05
 """How often the log is checked for new events, while there are no requests."""
@@ -137,7 +137,7 @@ class FollowedKernel(FoldedLab):
 
         def read() -> tuple[LabState, bytes]:
             state, _ = load(self._store)
-            return state, self._hash_at(state.position)
+            return state, find_hash(self._store, state.position)
 
         self.state, self._hash = await asyncio.to_thread(read)
 
@@ -252,14 +252,7 @@ class FollowedKernel(FoldedLab):
 
     def _is_same_log(self) -> bool:
         """Whether the log still has the records that were read from it."""
-        return self._hash_at(self.durable) == self._hash
-
-    def _hash_at(self, position: int) -> bytes:
-        """The hash of the log's record at a position; empty if the log is shorter."""
-        if not position:
-            return GENESIS
-        found = next(iter(self._store.read(position - 1, position)), None)
-        return found.hash if found is not None else b""
+        return find_hash(self._store, self.durable) == self._hash
 
     async def _restart(self) -> None:
         """The log was replaced by another one: a backup was restored."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from labos.core.envelope import GENESIS
 from labos.core.state import LabState
 from labos.ports import EventStore
-from labos.runtime.ledger import load
+from labos.runtime.ledger import find_hash, load
 
 
 class Follower:
@@ -26,7 +26,7 @@ class Follower:
             self.state, self._hash = LabState(), GENESIS
         self.state, number = load(self._store, begin=self.state)
         if number or self._hash == GENESIS:
-            self._hash = self._hash_at(self.state.position)
+            self._hash = find_hash(self._store, self.state.position)
         return number
 
     def hand_over(self) -> LabState | None:
@@ -37,11 +37,4 @@ class Follower:
         return state
 
     def _is_still_same(self) -> bool:
-        return self._hash_at(self.state.position) == self._hash
-
-    def _hash_at(self, position: int) -> bytes:
-        """The hash of the log's record at a position; empty if the log is shorter."""
-        if not position:
-            return GENESIS
-        found = next(iter(self._store.read(after=position - 1, upto=position)), None)
-        return found.hash if found is not None else b""
+        return find_hash(self._store, self.state.position) == self._hash

@@ -17,7 +17,7 @@ from labos.clock import Clock, Ids
 from labos.core.actions import ActionRequested
 from labos.core.ids import ActionId, LabId
 from labos.core.lab import KernelStarted
-from labos.core.registry import decode
+from labos.core.registry import Event, decode
 from labos.core.state import LabState
 from labos.errors import Fenced, LabosError, StoreError, StoreUnavailable
 from labos.ports import EventStore, LogQuery
@@ -32,12 +32,26 @@ _log = structlog.get_logger(__name__)
 
 
 class Listener(Protocol):
-    """Receives events once they are on disk, in order."""
+    """Receives events once they are on disk, in order. A class that derives from it need not do anything when
+    the log was read again."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None: ...
 
     def on_reopened(self) -> None:
         """The log was read again: events that were decided but not written are forgotten."""
+        return
+
+
+class OnEvents(Listener):
+    """Calls a function for each committed event of these kinds."""
+
+    def __init__(self, kinds: tuple[type[Event], ...], call: Callable[[Any], object]) -> None:
+        self._kinds, self._call = kinds, call
+
+    def on_committed(self, entries: Sequence[Entry]) -> None:
+        for entry in entries:
+            if isinstance(entry.event, self._kinds):
+                self._call(entry.event)
 
 
 class KernelSettings(msgspec.Struct, frozen=True):

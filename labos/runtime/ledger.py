@@ -12,7 +12,7 @@ import msgspec
 
 from labos.clock import Clock, Ids
 from labos.core.canonical import digest
-from labos.core.envelope import Envelope, Record, seal
+from labos.core.envelope import GENESIS, Envelope, Record, seal
 from labos.core.fold import evolve
 from labos.core.registry import Event, decode, encode
 from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture
@@ -123,6 +123,14 @@ def fold(state: LabState, records: Iterable[Record]) -> None:
         head = record.head
         event = decode(head.type, head.schema, record.payload)
         evolve(state, event, head.position, head.recorded_at)
+
+
+def find_hash(store: EventStore, position: int) -> bytes:
+    """The hash of the log's record at a position; empty if the log is shorter."""
+    if not position:
+        return GENESIS
+    found = next(iter(store.read(position - 1, position)), None)
+    return found.hash if found is not None else b""
 
 
 def snapshot(state: LabState, head: Head) -> tuple[int, bytes, str, bytes]:

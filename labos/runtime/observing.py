@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from labos.core.ids import LabId, LabwareId, ModuleName, StationName, workcell_of
+from labos.core.ids import LabId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.modules import ModuleStatus
 from labos.core.state import LabState
 from labos.core.texts import cut
@@ -112,7 +112,7 @@ async def observe_module(
 
 def resolve_station(module: ModuleName, place: str) -> StationName:
     """The station for a name that a node uses: its own ``nest``, or ``sealer.default`` of another module."""
-    bare = place.rpartition("/")[2]
+    bare = local(place)
     return StationName(f"{workcell_of(module)}/{bare}" if "." in bare else f"{module}.{bare}")
 
 

@@ -18,6 +18,7 @@ import msgspec
 import structlog
 
 from labos.clock import Clock
+from labos.core.ids import local
 from labos.runtime.spawning import Child, ExitCode, PlainSpawner, Spawner
 
 POLL_S = 0.1
@@ -246,7 +247,7 @@ def _is_node(note: _Note) -> bool:
     except OSError:
         return True  # no such folder on this system: the note has to be enough
     # A process that has just been made shows no command yet.
-    return not words or note.module.rpartition("/")[2].encode() in words
+    return not words or local(note.module).encode() in words
 
 
 def _send_signal(pid: int, *, kill: bool = False) -> None:

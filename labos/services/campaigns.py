@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
+from labos.core import campaigns
 from labos.core.campaigns import (
-    HANDLERS,
     Campaign,
     CampaignArchived,
     CampaignCompleted,
@@ -17,6 +17,7 @@ from labos.core.campaigns import (
     CampaignSubmitted,
     CampaignUnarchived,
 )
+from labos.core.registry import list_handlers
 from labos.core.runs import RunSubmitted
 from labos.core.viewer import Visibility
 from labos.errors import NotFound
@@ -58,14 +59,14 @@ class RowHistory(msgspec.Struct):
 
 def list_campaign_histories(log: Log) -> dict[str, CampaignHistory]:
     """Every campaign of the log, in order of its submission."""
-    folded = Campaigns()
+    folded, handlers = Campaigns(), list_handlers(vars(campaigns), Campaigns)
     histories: dict[str, CampaignHistory] = {}
     for event, head in decode_events(log.select(LogQuery(types=TYPES))):
         if isinstance(event, CampaignCompleted):
             histories[event.campaign].ended_at = head.recorded_at
         elif isinstance(event, CampaignArchived | CampaignUnarchived):
             histories[event.campaign].archived = isinstance(event, CampaignArchived)
-        handler = HANDLERS.get(type(event))
+        handler = handlers.get(type(event))
         if handler is not None:
             handler(folded, event, head.recorded_at)
         if isinstance(event, CampaignSubmitted):

@@ -23,7 +23,7 @@ from labos.core import users as u
 from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, RunApproved
 from labos.core.envelope import Envelope
 from labos.core.erasure import ErasureAsked, ErasureRefused, WordsErased
-from labos.core.ids import local, split_owner
+from labos.core.ids import local, split_key
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.policy import PolicyApplied
 from labos.core.registry import Event
@@ -50,7 +50,7 @@ def owner_name(owner: str) -> str:
         return "nobody"
     if owner == "shared":
         return "everybody (shared)"
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     return name if kind == "user" else f"{kind} {name}"
 
 
@@ -132,7 +132,8 @@ def _name_place(target: str) -> str:
     return "in the lab" if target == g.WHOLE_LAB else f"of {local(target)}"
 
 
-def _describe_counts(contents: Sequence[str]) -> str:
+def describe_counts(contents: Sequence[str]) -> str:
+    """``2 × plate96, 1 × lid96``, or ``empty``."""
     counts = {kind: contents.count(kind) for kind in contents}
     return ", ".join(f"{n} × {kind}" for kind, n in counts.items()) or "empty"
 
@@ -229,7 +230,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     ),
     b.StationUnloaded: lambda e, _: f"{e.count} taken away from {local(e.station)}",
     b.StationObserved: lambda e, _: f"{e.by} saw {_describe_sight(e)} at {local(e.station)}",
-    b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {_describe_counts(e.contents)}",
+    b.StationDeclared: lambda e, _: f"{local(e.station)} declared: {describe_counts(e.contents)}",
     b.WasteEmptied: lambda e, _: f"{local(e.station)} was emptied",
     r.RunSubmitted: lambda e, _: (
         f"{e.user} submitted {e.workflow!r}"

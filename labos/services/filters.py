@@ -9,7 +9,7 @@ import msgspec
 
 from labos.core.actions import ActionEvent, ActionRequested
 from labos.core.envelope import Envelope, Record
-from labos.core.ids import local
+from labos.core.ids import StationName, local, module_of, split_key
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.labware import LabwareEvent, LabwareUncertain
@@ -118,10 +118,10 @@ class FilteredLog:
                 modules.update(spec.name for spec in event.modules)
             elif isinstance(event, StationsApplied):
                 stations.update(spec.name for spec in event.stations)
-        modules.update(station.rpartition(".")[0] for station in stations)
+        modules.update(module_of(StationName(station)) for station in stations)
         if any(name in (known, local(known)) for known in modules):
             return
-        module = name.rpartition(".")[0]
+        module = module_of(StationName(name))
         if any(name in (known, local(known)) for known in stations):
             raise NotFound(
                 f"{name!r} is a station.", remedy=f"Its module has its events: labos log --module {module}"
@@ -189,14 +189,13 @@ class FilteredLog:
 
     def _list_experiments(self, event: Event, head: Envelope) -> set[str]:
         matching_events = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
-        owner = str(getattr(event, "owner", ""))
-        matching_events.add(owner.removeprefix("experiment:"))
+        matching_events.add(_find_owner(event, "experiment"))
         matching_events.add(getattr(event, "subject", ""))
         return matching_events | {self.names.find_experiment(run) for run in _list_runs(event)}
 
     def _list_users(self, event: Event, about: Event, head: Envelope) -> set[str]:
         matching_events = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
-        matching_events.add(str(getattr(event, "owner", "")).removeprefix("user:"))
+        matching_events.add(_find_owner(event, "user"))
         runs = [self.names.runs[run] for run in _list_runs(about) if run in self.names.runs]
         matching_events |= {run.user for run in runs}
         for name in self._list_experiments(about, head):
@@ -221,6 +220,12 @@ def _make_tokens(wanted: LogFilter) -> tuple[bytes, ...]:
     return (msgspec.json.encode(local(wanted.module))[1:-1],) if wanted.module else ()
 
 
+def _find_owner(event: Event, kind: str) -> str:
+    """The run, experiment or user that an event names as an owner; empty if it names none."""
+    found, name = split_key(str(getattr(event, "owner", "")))
+    return name if found == kind else ""
+
+
 def _quote(name: str) -> bytes:
     return msgspec.json.encode(name)
 
@@ -230,9 +235,7 @@ def _list_runs(event: Event) -> set[str]:
     matching_events = {str(getattr(event, "run", ""))}
     for field in ("by", "subject"):
         matching_events.add(str(getattr(event, field, "")))
-    owner = str(getattr(event, "owner", ""))
-    if owner.startswith("run:"):
-        matching_events.add(owner.removeprefix("run:"))
+    matching_events.add(_find_owner(event, "run"))
     return matching_events - {""}
 
 

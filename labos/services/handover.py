@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.ids import local
+from labos.core.ids import find_owning_run, local
 from labos.core.interventions import Intervention
 from labos.core.labware import LabwareHandedOver
 from labos.core.modules import ModuleStatus
@@ -239,7 +239,7 @@ def _list_unavailable(state: LabState) -> Iterator[UnavailableModule]:
 def _is_left(item: Labware) -> bool:
     """Labware without a run as its owner, and all labware whose place is not known; a lid belongs to its
     plate."""
-    return bool(item.maybe) or not (item.owner.startswith("run:") or item.on)
+    return bool(item.maybe) or not (find_owning_run(item.owner) or item.on)
 
 
 def _make_idle_labware(item: Labware, given: dict[str, str]) -> IdleLabware:

@@ -14,7 +14,7 @@ from itertools import groupby
 import msgspec
 
 from labos.core.effects import list_carried
-from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.ids import ModuleName, RunId, StationName, split_level_key
 from labos.core.runs import SETTLED, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.wells import well_key
@@ -132,16 +132,16 @@ Shorts = dict[str, Shortfall]
 
 
 def _list_resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
-    modules = list(dict.fromkeys(name.rpartition(":")[0] for name in state.resources.levels))
+    modules = list(dict.fromkeys(split_level_key(name)[0] for name in state.resources.levels))
     place = {module: at for at, module in enumerate(modules)}
 
     def order(name: str) -> tuple[int, ...]:
-        module, _, resource = name.rpartition(":")
+        module, resource = split_level_key(name)
         return (place[module], *well_key(resource))
 
     for name in sorted(state.resources.levels, key=order):
         level = state.resources.levels[name]
-        module, _, resource = name.rpartition(":")
+        module, resource = split_level_key(name)
         spec = state.modules.by_name.get(ModuleName(module))
         lots = tuple(
             LotLeft(lot.name, lot.left, lot.expires, bool(lot.expires) and lot.expires < today)

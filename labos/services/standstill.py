@@ -17,7 +17,18 @@ from labos.core.actions import Action, ActionFailed, ActionStatus
 from labos.core.effects import list_places
 from labos.core.envelope import Envelope
 from labos.core.fold import evolve
-from labos.core.ids import ActionId, LabwareId, ModuleName, RunId, StationName, experiment_owner, local
+from labos.core.ids import (
+    ActionId,
+    LabwareId,
+    ModuleName,
+    RunId,
+    StationName,
+    experiment_owner,
+    find_owning_run,
+    local,
+    run_owner,
+    split_key,
+)
 from labos.core.interventions import (
     Intervention,
     InterventionRequested,
@@ -371,16 +382,16 @@ class Standstill:
                     items[state.bench.labware[item].owner] = item
             for action in state.actions.open.values():
                 if name == action.module or name in list_places(action.effects):
-                    owners[f"run:{action.run}"] = True
+                    owners[run_owner(action.run)] = True
         runs: dict[RunId, bool] = {}
         for owner in owners:
-            run = state.runs.get(owner.removeprefix("run:"))
+            run = state.runs.get(find_owning_run(owner) or owner)
             if run is not None:
                 runs[run.id] = True
-            elif owner.startswith("experiment:"):
+            elif split_key(owner)[0] == "experiment":
                 of = [r.id for r in state.runs.active.values() if experiment_owner(r.experiment) == owner]
                 runs |= dict.fromkeys(of, True)
-        nobodys = (item for owner, item in items.items() if not owner.startswith(("run:", "experiment:")))
+        nobodys = (item for owner, item in items.items() if split_key(owner)[0] not in ("run", "experiment"))
         return tuple(runs), next(nobodys, None)
 
 

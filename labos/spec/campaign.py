@@ -17,6 +17,7 @@ from labos.core.viewer import Visibility
 from labos.errors import SpecError
 from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part, Seconds
+from labos.spec.remarks import Remarks
 from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
 from labos.spec.validation import expect_valid
@@ -105,19 +106,20 @@ def parse_campaign(text: str, name: str = "", files: Mapping[str, bytes] | None 
     with all faults of file and table."""
     source = parse(text, name)
     report = FindingList(name)
+    remarks = Remarks(source, report)
     file = expect_valid(CampaignFile, source, report)
     terms = Terms(
         priority=file.priority,
         budget=Budget(file.budget.runs, file.budget.lab_time, dict(file.budget.consumables)),
         tags=tuple(file.tags),
-        until=_read_stop_rule(file.until, source, report),
+        until=_read_stop_rule(file.until, remarks),
         stop_after={"go_on": 0, "stop": 1}[file.on_failure]
         if isinstance(file.on_failure, str)
         else file.on_failure.stop_after,
     )
-    lines = expand(file, source, files or {}, report)
+    lines = expand(file, remarks, files or {})
     if not lines and not report.errors:
-        report.error("The campaign has no rows.", source.place(("rows",)), field="rows", remedy="Add one.")
+        remarks.error("The campaign has no rows.", ("rows",), "Add one.")
     report.raise_if_failed()
     return CampaignSource(file, source, lines, terms)
 
@@ -164,11 +166,11 @@ def stop_rule(text: str) -> Condition:
     return make_condition(text, fill_in(tree, values))
 
 
-def _read_stop_rule(text: str, source: Source, report: FindingList) -> Condition | None:
+def _read_stop_rule(text: str, remarks: Remarks) -> Condition | None:
     if not text:
         return None
     try:
         return stop_rule(text)
     except ExpressionError as error:
-        report.error(error.message, source.place(("until",)), field="until", remedy=error.remedy)
+        remarks.error(error.message, ("until",), error.remedy)
         return None

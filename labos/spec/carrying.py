@@ -16,11 +16,10 @@ from labos.core.arguments import list_names
 from labos.core.effects import list_moved
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description
-from labos.errors import SpecError
 from labos.spec.about import find_description
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.stations import Stations
-from labos.spec.uses import Use, iterate_entries
+from labos.spec.uses import Use
 from labos.spec.workcell import CompiledWorkcell
 
 APPROACH: Literal["approach"] = "approach"
@@ -77,7 +76,7 @@ class TransferReader:
         for effect in list_moved(offered.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):
                 end, grip = place.strip("{}"), grip.strip("{}")
-                station = self._find_station(args.get(written.get(end, "")), module)
+                station = self._stations.find_known(args.get(written.get(end, "")), module)
                 if station is None or self._stations[station].reach.get(arm) != ():
                     continue
                 if given := args.get(written.get(grip, "")):
@@ -86,14 +85,8 @@ class TransferReader:
                     yield TransferEnd("grip", arm, station, written[grip], value)
                 through = f"{end}_{APPROACH}"
                 if module in self._own and (given := args.get(written.get(through, ""))):
-                    way = self._find_station(given, module)
+                    way = self._stations.find_known(given, module)
                     yield TransferEnd(APPROACH, arm, station, written[through], local(way) if way else None)
-
-    def _find_station(self, text: Any, module: str) -> StationName | None:
-        try:
-            return self._stations.find(text, module) if isinstance(text, str) else None
-        except SpecError:
-            return None
 
 
 def add_ends(file: WorkcellFile, agreed: Iterable[TransferEnd]) -> tuple[WorkcellFile, dict[str, list[str]]]:
@@ -127,7 +120,7 @@ def drop_ends(
     removed."""
     left = file.model_copy(deep=True)
     has_gone = False
-    for _, entry in iterate_entries(left):
+    for _, entry in left.iterate_entries():
         dropped = [
             {
                 end.arg

@@ -7,7 +7,7 @@ of the step that it names. ``${<step>.module}`` in arguments is the name of that
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from math import prod
 from typing import Any
@@ -19,6 +19,7 @@ from labos.core.ids import local
 from labos.core.model import Plan, Workcell
 from labos.spec.findings import suggest_name
 from labos.spec.models import ANY_OF, SAME_AS, RunSteps, StepEntry, WorkflowFile
+from labos.spec.references import change_texts, iterate_texts
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
@@ -37,7 +38,7 @@ def bind_modules(file: WorkflowFile, workcell: Workcell, remarks: Remarks) -> li
     remarks."""
     known = {local(module.name): module.driver for module in workcell.modules}
     choices: dict[str, Sequence[str]] = {}
-    for path, entry in _iterate_entries(file):
+    for path, entry in file.iterate_entries():
         if entry.module in known:
             continue
         if entry.module.startswith(ANY_OF) and not _is_step(path):
@@ -84,7 +85,7 @@ def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
     """The workflow, once for each choice between modules that it names, independent of the workcell."""
     choices = {
         entry.name: names
-        for _, entry in _iterate_entries(file)
+        for _, entry in file.iterate_entries()
         if entry.module.startswith(ANY_OF) and "," in entry.module and (names := _split_names(entry.module))
     }
     if not choices or prod(map(len, choices.values())) > MOST_PLANS:
@@ -137,9 +138,9 @@ def _list_modules_meant(
 
 def _check_references(file: WorkflowFile, known: Mapping[str, str], remarks: Remarks) -> bool:
     """Check the references of steps to the modules of other steps."""
-    names = [entry.name for path, entry in _iterate_entries(file) if _is_step(path) and entry.module]
+    names = [entry.name for path, entry in file.iterate_entries() if _is_step(path) and entry.module]
     found = False
-    for path, entry in _iterate_entries(file):
+    for path, entry in file.iterate_entries():
         references = [
             (name, (*path, where))
             for where, value in _list_values(entry)
@@ -175,16 +176,6 @@ def _check_reference(entry: StepEntry, name: str, at: Path_, names: Sequence[str
         )
 
 
-def _iterate_entries(file: WorkflowFile) -> Iterator[tuple[Path_, StepEntry]]:
-    on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
-    for top, entries in (("steps", file.steps), ("on_cancel", on_cancel)):
-        for index, entry in enumerate(entries):
-            yield (top, index), entry
-            if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
-                for number, inner in enumerate(entry.on_error.run):
-                    yield (top, index, "on_error", "run", number), inner
-
-
 def _is_step(path: Path_) -> bool:
     """Whether an entry is a step of the workflow itself, and not one for failures or cancellation."""
     return path[0] == "steps" and len(path) == 2
@@ -196,29 +187,20 @@ def _list_values(entry: StepEntry) -> Iterable[tuple[str, Any]]:
 
 def _list_steps_meant(value: Any) -> list[str]:
     """The steps to whose modules a value refers."""
-    if isinstance(value, str):
-        return _MODULE_OF.findall(value)
-    if isinstance(value, list | dict):
-        items = value.values() if isinstance(value, dict) else value
-        return [name for item in items for name in _list_steps_meant(item)]
-    return []
+    return [name for text in iterate_texts(value) for name in _MODULE_OF.findall(text)]
 
 
 def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str]) -> BoundWorkflow:
     modules = {
-        e.name: chosen.get(e.name, e.module) for p, e in _iterate_entries(file) if _is_step(p) and e.module
+        e.name: chosen.get(e.name, e.module) for p, e in file.iterate_entries() if _is_step(p) and e.module
     }
     for _ in modules:  # a step may refer to one that itself refers to a third
         for name, module in modules.items():
             if module.startswith(SAME_AS) and module not in known:
                 modules[name] = modules.get(module.removeprefix(SAME_AS).strip(), module)
 
-    def fill(value: Any) -> Any:
-        if isinstance(value, str):
-            return _MODULE_OF.sub(lambda found: modules.get(found[1], found[0]), value)
-        if isinstance(value, list):
-            return [fill(item) for item in value]
-        return {key: fill(item) for key, item in value.items()} if isinstance(value, dict) else value
+    def fill(text: str) -> str:
+        return _MODULE_OF.sub(lambda found: modules.get(found[1], found[0]), text)
 
     def bind(entry: StepEntry, *, own: bool) -> StepEntry:
         module = entry.module
@@ -228,7 +210,7 @@ def _bind(file: WorkflowFile, chosen: Mapping[str, str], known: Mapping[str, str
             module = modules.get(module.removeprefix(SAME_AS).strip(), module)
         change: dict[str, Any] = {"module": module} if module != entry.module else {}
         for name, value in _list_values(entry):
-            if (filled := fill(value)) != value:
+            if (filled := change_texts(value, fill)) != value:
                 change[name] = filled
         if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
             inner = [bind(each, own=False) for each in entry.on_error.run]

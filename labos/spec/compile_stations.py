@@ -72,11 +72,8 @@ class _StationCompiler:
         known = self.make_index()
         for place, entry in self.file.stations.items():
             owner, _, last = place.rpartition(".")
-            try:
-                known.find(place)
+            if known.find_known(place):
                 continue
-            except SpecError:
-                pass
             if owner in self.modules and owner not in self.drivers:
                 continue  # the module is not active
             if "/" in place or not owner or not last:
@@ -93,9 +90,8 @@ class _StationCompiler:
         """The shelves of the file's hotels, with full names only."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
-            try:
-                hotel = known.find(place)
-            except SpecError:
+            hotel = known.find_known(place)
+            if hotel is None:
                 continue  # reported before, or its module is not active
             for number in range(1, (entry.shelves or 0) + 1):
                 name = StationName(f"{hotel}.{number}")
@@ -165,11 +161,9 @@ class _StationCompiler:
         """Override the drivers' descriptions of stations with those of the file."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
-            try:
-                name = known.find(place)
-            except SpecError:
-                continue  # reported before, or its module is not active
-            self._put(self._override(place, self.stations[name], entry))
+            name = known.find_known(place)
+            if name is not None:  # otherwise it was reported before, or its module is not active
+                self._put(self._override(place, self.stations[name], entry))
 
     def fit_grips(self, held: Mapping[str, tuple[str, ...]]) -> None:
         """Limit the grips for labware types at all taught places to those by which the type can be held."""

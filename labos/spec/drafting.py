@@ -12,8 +12,8 @@ from typing import Any
 
 from labos.core.arguments import list_names
 from labos.core.effects import Unlid
+from labos.core.ids import local
 from labos.core.model import ActionSpec, Description
-from labos.errors import SpecError
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
 from labos.spec.interfaces import is_configured
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
@@ -49,7 +49,7 @@ def draft_modules(
         change: dict[str, Any] = {}
         if entry.active and known is None and entry.about is None:
             change = {
-                "about": _draft_about(entry, wanted, file, places, described),
+                "about": _draft_about(entry, wanted, places, described),
                 "driver": "",
                 "active": True,
             }
@@ -133,11 +133,7 @@ def takes_lids_off(uses: Iterable[Use], described: Mapping[str, Description]) ->
 
 
 def _draft_about(
-    entry: ModuleEntry,
-    uses: Sequence[Use],
-    file: WorkcellFile,
-    places: set[str],
-    described: Mapping[str, Description],
+    entry: ModuleEntry, uses: Sequence[Use], places: set[str], described: Mapping[str, Description]
 ) -> About:
     actions = {name: _draft_action(named, places, described) for name, named in _sort_by_action(uses).items()}
     carries = any(effect for action in actions.values() for effect in action.effects)
@@ -299,10 +295,8 @@ def _list_named_places(use: Use, action: ActionSpec) -> list[tuple[str, bool]]:
 
 def _find(stations: Stations, text: str, module: str) -> str | None:
     """The file's name of the station to which a step's word refers; None if there is none."""
-    try:
-        return stations.find(text, module).partition("/")[2]
-    except SpecError:
-        return None
+    found = stations.find_known(text, module)
+    return local(found) if found is not None else None
 
 
 def _declare(

@@ -38,14 +38,8 @@ class Finding(msgspec.Struct, frozen=True):
     assumed: Assumed = ""
 
     def as_error(self) -> SpecError:
-        return SpecError(
-            self.message,
-            file=self.file,
-            line=self.line,
-            column=self.column,
-            field=self.field,
-            remedy=self.remedy,
-        )
+        where = {"file": self.file, "line": self.line, "column": self.column, "field": self.field}
+        return SpecError(self.message, **where, remedy=self.remedy)  # type: ignore[arg-type]
 
     def __str__(self) -> str:
         return f"{self.as_error()} ({self.severity})"
@@ -91,14 +85,10 @@ class FindingList:
     ) -> None:
         self._add("warning", message, place, field, remedy, file, assumed)
 
-    def keep(self, finding: Finding) -> None:
-        """Add a finding unchanged."""
-        self._keep(finding)
-
     def take(self, other: FindingList) -> None:
         """Add the findings of another file."""
         for finding in other.findings:
-            self._keep(finding)
+            self.keep(finding)
 
     def _add(
         self,
@@ -113,9 +103,10 @@ class FindingList:
         message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
         where = (file or self.file, place.line, place.column, field[-LONGEST:])
         finding = Finding(severity, message, *where, remedy[:LONGEST], assumed)
-        self._keep(finding)
+        self.keep(finding)
 
-    def _keep(self, finding: Finding) -> None:
+    def keep(self, finding: Finding) -> None:
+        """Add a finding unchanged."""
         if self._count[finding.severity] >= MOST:
             self._count[finding.severity] += 1
         elif finding not in self._known:

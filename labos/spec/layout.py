@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
-from labos.spec.findings import Assumed, FindingList, suggest_name
+from labos.spec.findings import FindingList, suggest_name
 from labos.spec.models import StepEntry
 from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
@@ -238,24 +238,12 @@ class UnrolledRemarks(Remarks):
         super().__init__(source, report)
         self.layout = layout
 
-    def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
-        source, at, name = self._find_origin(path)
-        place, field = source.place(at, key=key), source.name_field(at) + name
-        self.report.error(message, place, field=field, remedy=remedy, file=source.file)
-
-    def add_warning(
-        self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
-    ) -> None:
-        source, at, name = self._find_origin(path)
-        place, field = source.place(at, key=key), source.name_field(at) + name
-        self.report.add_warning(message, place, field=field, remedy=remedy, file=source.file, assumed=assumed)
-
     def find_origin(self, path: Path_) -> Origin:
         """The place in the original file for a path."""
-        source, at, name = self._find_origin(path)
+        source, at, name = self.find_source(path)
         return Origin(source.file, *source.place(at), source.name_field(at) + name)
 
-    def _find_origin(self, path: Path_) -> tuple[Source, Path_, str]:
+    def find_source(self, path: Path_) -> tuple[Source, Path_, str]:
         if len(path) > 1 and path[0] == "steps" and isinstance(path[1], int):
             leaf = self.layout.leaves[path[1]]
             return leaf.source, (*leaf.path, *path[2:]), f" ({leaf.key})" if leaf.unrolled else ""

@@ -6,6 +6,7 @@ one meaning. Unknown keys are errors.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag
@@ -338,6 +339,16 @@ class WorkflowFile(Part):
     windows: WhenBroken | None = None
     steps: list[StepEntry] = Field(min_length=1, max_length=2000)
     on_cancel: OnCancelEntry | None = None
+
+    def iterate_entries(self) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
+        """All entries in the file, with their paths: also those for failures and cancellation."""
+        on_cancel = self.on_cancel if isinstance(self.on_cancel, list) else []
+        for top, entries in (("steps", self.steps), ("on_cancel", on_cancel)):
+            for index, entry in enumerate(entries):
+                yield (top, index), entry
+                if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
+                    for number, inner in enumerate(entry.on_error.run):
+                        yield (top, index, "on_error", "run", number), inner
 
 
 class Footprint(Part):

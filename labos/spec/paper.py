@@ -8,7 +8,7 @@ from typing import Any, Self
 
 from labos.core.bench import split_item
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.model import Description, LabwareSpec, ModuleSpec, StationSpec
+from labos.core.model import LabwareSpec, ModuleSpec, StationSpec
 from labos.spec.stations import Stations
 
 Tell = Callable[[int, str, str], None]
@@ -45,15 +45,13 @@ class Paper:
         self,
         stations: Stations,
         modules: Mapping[ModuleName, ModuleSpec],
-        descriptions: Mapping[ModuleName, Description],
         labware: Mapping[str, LabwareSpec],
         stock: Mapping[StationName, str],
         counts: dict[StationName, int] | None,
         error: Tell,
         warning: Tell,
     ) -> None:
-        self.stations, self.modules, self.descriptions = stations, modules, descriptions
-        self.labware = labware
+        self.stations, self.modules, self.labware = stations, modules, labware
         self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
         self.at: dict[StationName, list[Piece]] = {}
         self.inputs: list[StationName] = []
@@ -69,8 +67,7 @@ class Paper:
     def copy(self, error: Tell) -> Self:
         """A copy of the present bench for a trial; faults go to ``error``."""
         counts = None if self.counts is None else dict(self.counts)
-        known = (self.stations, self.modules, self.descriptions, self.labware)
-        other = type(self)(*known, self.stock, counts, error, error)
+        other = type(self)(self.stations, self.modules, self.labware, self.stock, counts, error, error)
         other.at, other.variables = deepcopy((self.at, self.variables), {id(UNKNOWN): UNKNOWN})
         other.inputs, other.left = list(self.inputs), set(self.left)
         return other

@@ -94,7 +94,7 @@ def _find_taken(file: WorkflowFile, sources: Sequence[Source], finder: FileFinde
         found |= {str(name) for name in file.parameters}
         for source in texts:
             found |= set(list_keys(source.data))
-        entries = list(_iterate_entries(file))
+        entries = [entry for _, entry in file.iterate_entries()]
         for entry in entries:
             for text in (entry.when, entry.expect):
                 found |= _list_names_in_condition(text)
@@ -121,18 +121,6 @@ def _list_names_in_condition(condition: str) -> set[str]:
             raise _TakesAll
         found.add(".".join(str(part) for part in parts))
     return found
-
-
-def _iterate_entries(file: WorkflowFile) -> Iterator[StepEntry]:
-    """All entries of a file, including those for failures and cancellation."""
-    lists: list[list[StepEntry]] = [file.steps]
-    if isinstance(file.on_cancel, list):
-        lists.append(file.on_cancel)
-    while lists:
-        for entry in lists.pop():
-            yield entry
-            if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
-                lists.append(entry.on_error.run)
 
 
 def _list_used(file: WorkflowFile, entries: Iterable[StepEntry]) -> Iterator[str]:

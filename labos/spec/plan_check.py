@@ -8,7 +8,7 @@ from functools import partial
 from labos.core.branches import list_ways, main_steps
 from labos.core.ids import ModuleName, StationName
 from labos.core.leaving import list_steps_out
-from labos.core.model import Description, LabwareSpec, ModuleSpec, Plan
+from labos.core.model import LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import BenchFile
 from labos.spec.cancel_paths import CancelPaths
 from labos.spec.dryrun import DryRun
@@ -27,12 +27,10 @@ class InitialBench:
         self,
         stations: Stations,
         modules: Mapping[ModuleName, ModuleSpec],
-        described: Mapping[ModuleName, Description],
         bench: BenchFile | None,
         labware: Mapping[str, LabwareSpec],
     ) -> None:
-        self.stations, self.modules, self.described = stations, modules, described
-        self.labware = labware
+        self.stations, self.modules, self.labware = stations, modules, labware
         self.stock: dict[StationName, str] = {}
         self.away_from_rest = bench.away_from_rest if bench is not None else {}
         self.counts: dict[StationName, int] | None = None if bench is None else {}
@@ -45,8 +43,7 @@ class InitialBench:
     def make_dry_run(self, error: Tell, warning: Tell) -> DryRun:
         """A dry run that has not begun."""
         counts = None if self.counts is None else dict(self.counts)
-        known = (self.stations, self.modules, self.described, self.labware)
-        dry = DryRun(*known, self.stock, counts, error, warning)
+        dry = DryRun(self.stations, self.modules, self.labware, self.stock, counts, error, warning)
         for module, names in self.away_from_rest.items():
             dry.variables.setdefault(module, {}).update(dict.fromkeys(names, UNKNOWN))
         return dry

@@ -45,45 +45,47 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, suggest_name
+from labos.spec.findings import make_finding, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, find_result
 from labos.spec.remarks import Remarks
-from labos.spec.source import Path_, Place
+from labos.spec.source import Path_, Source
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
 from labos.spec.tables import find_counter
 
 
+class Given(msgspec.Struct):
+    """The data for compiling a workflow, besides the workflow itself; the options are those of
+    ``compile_workflow``."""
+
+    source: Source
+    form: Source
+    foreign: bool
+    payload: Mapping[str, Any]
+    workcell: Workcell
+    descriptions: Mapping[str, Description]
+    finder: FileFinder
+    simulate: bool
+    bench: BenchFile | None
+    left_out: Mapping[str, str]
+
+
 class StepPlanner:
     """Makes a plan from one workflow."""
 
-    def __init__(
-        self,
-        *,
-        file: WorkflowFile,
-        layout: Layout,
-        workcell: Workcell,
-        descriptions: Mapping[str, Description],
-        remarks: Remarks,
-        finder: FileFinder,
-        simulate: bool,
-        bench: BenchFile | None,
-        left_out: Mapping[str, str],
-    ) -> None:
-        self.file, self.layout, self.remarks, self.finder = file, layout, remarks, finder
-        self.workcell, self.bench, self.simulate = workcell, bench, simulate
-        self.left_out = left_out
-        self.descriptions = descriptions
+    def __init__(self, file: WorkflowFile, layout: Layout, remarks: Remarks, given: Given) -> None:
+        self.file, self.layout, self.remarks, self.given = file, layout, remarks, given
+        self.workcell = workcell = given.workcell
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
         self.described = {
             module.name: found
             for module in workcell.modules
-            if (found := find_description(module, descriptions)) is not None
+            if (found := find_description(module, given.descriptions)) is not None
         }
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
@@ -135,7 +137,7 @@ class StepPlanner:
         possible."""
         modules = {module.name: module for module in self.modules.values()}
         labware = {kind.name: kind for kind in self.workcell.labware}
-        bench = InitialBench(self.stations, modules, self.described, self.bench, labware)
+        bench = InitialBench(self.stations, modules, self.given.bench, labware)
         return PlanCheck(bench, self.steps, self.remarks).do_dry_run(plan)
 
     def _check_modules(self) -> None:
@@ -248,8 +250,8 @@ class StepPlanner:
     def _find_module(self, entry: StepEntry, path: Path_) -> ModuleSpec | None:
         name = entry.module.removeprefix(f"{self.workcell.name}/")
         module = self.modules.get(name)
-        if module is None and name in self.left_out:
-            message = f"Step {entry.name!r}: the module {name!r} is left out: {self.left_out[name]}."
+        if module is None and name in self.given.left_out:
+            message = f"Step {entry.name!r}: the module {name!r} is left out: {self.given.left_out[name]}."
             remedy = "Switch it on in the workcell file, give it a `driver:` or describe it below `about:`."
             self.remarks.error(message, (*path, "module"), remedy)
         elif module is None and name.startswith((ANY_OF, SAME_AS)):
@@ -324,7 +326,7 @@ class StepPlanner:
             if arg.type == "station":
                 args[arg.name] = self._place(value, module, entry, at)
             elif arg.type == "file":
-                args[arg.name] = self.finder.find_full_name(value)
+                args[arg.name] = self.given.finder.find_full_name(value)
                 self._pin(args[arg.name], entry, at)
         if self.remarks.report.errors == faults:
             self._choose_grips(module, action, args)
@@ -386,13 +388,13 @@ class StepPlanner:
             return text
 
     def _pin(self, name: str, entry: StepEntry, path: Path_) -> None:
-        found = self.finder.find(name)
+        found = self.given.finder.find(name)
         if found.content is not None:
             self.pinned[name] = found.digest
             self.contents[found.digest] = found.content
             return
         message = f"Step {entry.name!r}: the file {name!r} {found.problem}."
-        if self.simulate:
+        if self.given.simulate:
             self.remarks.add_warning(message, path, "It is needed on the real bench.")
         else:
             self.remarks.error(message, path, "Put it beside the workflow, or send it along with the run.")
@@ -453,10 +455,7 @@ class StepPlanner:
     def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
         """Report the fault of an argument, or of the file that it names."""
         if error.file:
-            elsewhere = FindingList(error.file)
-            place = Place(error.line, error.column)
-            elsewhere.error(error.message, place, field=error.field, remedy=error.remedy)
-            self.remarks.report.take(elsewhere)
+            self.remarks.report.keep(make_finding(error))
         else:
             self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
 
@@ -471,7 +470,7 @@ class StepPlanner:
     ) -> Consumes:
         """The effect with the number for its amount. A warning reports an assumed number. Raises
         SpecError."""
-        counter = find_counter(module.driver, effect.resource, self.descriptions)
+        counter = find_counter(module.driver, effect.resource, self.given.descriptions)
         found = compute_amount(written, values, self._find_content, counter)
         if found.doubt:
             name = next((str(values.get(arg, "")) for arg in list_arguments(written)), "")

@@ -14,6 +14,7 @@ from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
 from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part
+from labos.spec.remarks import Remarks
 from labos.spec.source import parse
 from labos.spec.validation import expect_valid
 
@@ -55,19 +56,18 @@ def parse_policy(text: str, name: str = "") -> CompiledPolicy:
     """Read a policy file given as text. Raises SpecError, SpecErrors."""
     source = parse(text, name)
     report = FindingList(name)
+    remarks = Remarks(source, report)
     file = expect_valid(PolicyFile, source, report)
     if file.trusted and not file.programs:
-        place = source.place(("trusted",), key=True)
         what = "Programs need no approval, so a list of trusted programs has no effect."
-        report.error(what, place, field="trusted", remedy="Leave it out, or write `programs: true`.")
+        remarks.error(what, ("trusted",), "Leave it out, or write `programs: true`.", key=True)
     booked = file.bookings
     if booked.hours and booked.total_hours and booked.hours > booked.total_hours:
-        place = source.place(("bookings", "hours"))
         what = (
             f"One booking may have {booked.hours:g} hours, but all bookings together only "
             f"{booked.total_hours:g}."
         )
-        report.error(what, place, field="bookings.hours", remedy="Give a larger `total_hours`.")
+        remarks.error(what, ("bookings", "hours"), "Give a larger `total_hours`.")
     report.raise_if_failed()
     above = Budget(file.above.runs, file.above.lab_time, dict(file.above.consumables))
     policy = make_from(

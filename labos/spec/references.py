@@ -8,7 +8,7 @@ with dots (``"a.b"``) takes precedence. ``${payload.x}`` inside a longer text is
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from labos.errors import SpecError
@@ -26,27 +26,22 @@ LONGEST = 1000
 def fill(value: Any, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:
     """The value with its references to the payload filled in, also in lists and tables. ``needed`` are all
     keys that the workflow uses. Raises SpecError for keys that the payload does not have."""
-    if isinstance(value, str):
-        whole = _WHOLE.fullmatch(value)
+
+    def fill_text(text: str) -> Any:
+        whole = _WHOLE.fullmatch(text)
         if whole:
             return look_up(whole[1] or whole[2], payload, needed)
-        return _INSIDE.sub(lambda match: _as_text(match[1], look_up(match[1], payload, needed)), value)
-    if isinstance(value, list):
-        return [fill(item, payload, needed) for item in value]
-    if isinstance(value, dict):
-        return {key: fill(item, payload, needed) for key, item in value.items()}
-    return value
+        return _INSIDE.sub(lambda match: _as_text(match[1], look_up(match[1], payload, needed)), text)
+
+    return change_texts(value, fill_text)
 
 
 def list_keys(value: Any) -> list[str]:
     """The payload's keys to which a value refers, each once."""
     found: list[str] = []
-    if isinstance(value, str):
-        whole = _WHOLE.fullmatch(value)
-        found = [whole[1] or whole[2]] if whole else _INSIDE.findall(value)
-    elif isinstance(value, list | dict):
-        for item in value.values() if isinstance(value, dict) else value:
-            found += list_keys(item)
+    for text in iterate_texts(value):
+        whole = _WHOLE.fullmatch(text)
+        found += [whole[1] or whole[2]] if whole else _INSIDE.findall(text)
     return list(dict.fromkeys(found))
 
 
@@ -57,6 +52,17 @@ def iterate_texts(value: Any) -> Iterator[str]:
     elif isinstance(value, Mapping | list):
         for item in value.values() if isinstance(value, Mapping) else value:
             yield from iterate_texts(item)
+
+
+def change_texts(value: Any, change: Callable[[str], Any]) -> Any:
+    """The value with each of its texts changed, at any depth."""
+    if isinstance(value, str):
+        return change(value)
+    if isinstance(value, list):
+        return [change_texts(item, change) for item in value]
+    return (
+        {key: change_texts(item, change) for key, item in value.items()} if isinstance(value, dict) else value
+    )
 
 
 def look_up(key: str, payload: Mapping[str, Any], needed: Sequence[str] = ()) -> Any:

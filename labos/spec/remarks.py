@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from labos.spec.findings import Assumed, FindingList
 from labos.spec.source import Path_, Source
 
@@ -13,11 +15,18 @@ class Remarks:
         self.source, self.report = source, report
 
     def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
-        place, field = self.source.place(path, key=key), self.source.name_field(path)
-        self.report.error(message, place, field=field, remedy=remedy)
+        self.report.error(message, remedy=remedy, **self._locate(path, key))
 
     def add_warning(
         self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
     ) -> None:
-        place, field = self.source.place(path, key=key), self.source.name_field(path)
-        self.report.add_warning(message, place, field=field, remedy=remedy, assumed=assumed)
+        self.report.add_warning(message, remedy=remedy, assumed=assumed, **self._locate(path, key))
+
+    def _locate(self, path: Path_, key: bool) -> dict[str, Any]:
+        source, at, name = self.find_source(path)
+        place, field = source.place(at, key=key), source.name_field(at) + name
+        return {"place": place, "field": field, "file": source.file}
+
+    def find_source(self, path: Path_) -> tuple[Source, Path_, str]:
+        """The file in which a path is written, the path there, and a text after the name of the field."""
+        return self.source, path, ""

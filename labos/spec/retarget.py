@@ -18,7 +18,6 @@ from labos.spec.findings import suggest_name
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import iterate_texts, list_keys
 from labos.spec.stations import Stations
-from labos.spec.uses import iterate_entries
 
 SAME_DRIVER, SAME_NAME, BOTH_CARRY, ACTION, ARGUMENT, STATION = 40.0, 20.0, 10.0, 4.0, 0.5, 2.0
 """Points for a candidate module: for the same driver, the same name, or if both are manipulators; and for
@@ -110,7 +109,7 @@ def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) 
 def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
     """The needs by module, in the order in which the workflow names them."""
     found: dict[str, _Need] = {}
-    for _, entry in iterate_entries(file):
+    for _, entry in file.iterate_entries():
         if entry.module in modules and not list_keys(entry.module):
             need = found.setdefault(entry.module, _Need())
             need.actions.setdefault(entry.action, set()).update(entry.args)

@@ -15,7 +15,8 @@ import msgspec
 
 from labos.errors import SpecError
 from labos.spec.findings import FindingList
-from labos.spec.source import NOWHERE, Place, Source, make_plain, parse
+from labos.spec.remarks import Remarks
+from labos.spec.source import NOWHERE, Place, make_plain, parse
 
 if TYPE_CHECKING:
     from labos.spec.campaign import CampaignFile, LatinHypercube
@@ -49,20 +50,18 @@ KINDS = {
 """The kinds of sources for rows, by the field of the model."""
 
 
-def expand(
-    file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
-) -> list[TableLine]:
-    """The rows of a campaign; their faults go to the report."""
+def expand(file: CampaignFile, remarks: Remarks, files: Mapping[str, bytes]) -> list[TableLine]:
+    """The rows of a campaign; their faults go to the remarks."""
     from labos.spec.campaign import MOST_ROWS
 
+    source, report = remarks.source, remarks.report
     given = [name for field, name in KINDS.items() if getattr(file.rows, field)]
-    at = source.place(("rows",))
     if len(given) != 1:
         what = f"Rows come from {' and '.join(given)}." if given else "The source of the rows is missing."
-        report.error(what, at, field="rows", remedy=f"Write one of {', '.join(KINDS.values())}.")
+        remarks.error(what, ("rows",), f"Write one of {', '.join(KINDS.values())}.")
         return []
     if file.rows.table:
-        return _read_table(file, source, files, report)
+        return _read_table(file, remarks, files)
     values: Iterator[dict[str, Any]]
     match given[0]:
         case "list":
@@ -74,11 +73,8 @@ def expand(
         case "zip":
             if len({len(column) for column in file.rows.zip_.values()}) > 1:
                 lengths = ", ".join(f"{key}: {len(column)}" for key, column in file.rows.zip_.items())
-                where = source.place(("rows", "zip"))
                 remedy = "Give each the same number of values, or write `grid:`."
-                report.error(
-                    f"The columns differ in length ({lengths}).", where, field="rows.zip", remedy=remedy
-                )
+                remarks.error(f"The columns differ in length ({lengths}).", ("rows", "zip"), remedy)
                 return []
             columns = file.rows.zip_
             values = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
@@ -87,7 +83,7 @@ def expand(
             values = draw_latin_hypercube(file.rows.latin_hypercube)
     found = list(islice(values, MOST_ROWS + 1))
     if len(found) > MOST_ROWS:
-        report.error(f"There are more than {MOST_ROWS} rows.", at, field="rows", remedy="Split the campaign.")
+        remarks.error(f"There are more than {MOST_ROWS} rows.", ("rows",), "Split the campaign.")
         return []
     lines = []
     for number, own in enumerate(found):
@@ -125,15 +121,12 @@ def _draw(seed: int, key: str, what: str, number: int) -> float:
     return int.from_bytes(drawn[:7], "big") / 2**56
 
 
-def _read_table(
-    file: CampaignFile, source: Source, files: Mapping[str, bytes], report: FindingList
-) -> list[TableLine]:
-    name = file.rows.table
+def _read_table(file: CampaignFile, remarks: Remarks, files: Mapping[str, bytes]) -> list[TableLine]:
+    name, report = file.rows.table, remarks.report
     content = files.get(name)
     if content is None:
-        place = source.place(("rows", "table"))
         remedy = "Put the file beside the campaign file, or correct the name."
-        report.error(f"The table {name!r} cannot be found.", place, field="rows.table", remedy=remedy)
+        remarks.error(f"The table {name!r} cannot be found.", ("rows", "table"), remedy)
         return []
     try:
         text = content.decode("utf-8-sig")

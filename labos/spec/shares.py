@@ -63,18 +63,16 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
     report = FindingList(name)
     file = expect_valid(SharesFile, source, report)
     homes: dict[str, str] = {}
-    for group, entry in file.groups.items():
-        for user in entry.members:
-            if user in homes:
-                place = source.place(("groups", group, "members", user), key=True)
-                what = f"{user!r} is in the group {homes[user]!r} already."
-                report.error(what, place, field=f"groups.{group}.members", remedy="Name each user once.")
-            homes[user] = group
-    for user in file.users:
+    named = [
+        (("groups", g, "members", user), g) for g, entry in file.groups.items() for user in entry.members
+    ]
+    for path, group in [*named, *((("users", user), "") for user in file.users)]:
+        user = path[-1]
         if user in homes:
-            place = source.place(("users", user), key=True)
             what = f"{user!r} is in the group {homes[user]!r} already."
-            report.error(what, place, field="users", remedy="Name each user once.")
+            place, field = source.place(path, key=True), source.name_field(path[:-1])
+            report.error(what, place, field=field, remedy="Name each user once.")
+        homes[user] = group
     report.raise_if_failed()
     groups = [
         Group(

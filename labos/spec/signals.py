@@ -78,18 +78,32 @@ class Actuation(Part):
         return any("{id}" in str(condition.is_) for condition in self.done)
 
 
-class DeviceState(Part):
-    """How the device says that it is busy or in error. ``alarms`` are process variables with an alarm
-    severity; at ``severity`` or higher, the device is in error."""
+class ReportedState(Part):
+    """How the device says that it is busy or in error; ``why`` names a value with words."""
 
     busy: Many[Condition] = []
     error: Many[Condition] = []
     why: str = ""
+
+
+class DeviceMapping(Part):
+    """What a device reports: its state, its resources, its variables, and the labware at its stations."""
+
+    state: ReportedState = ReportedState()
+    resources: dict[str, str] = {}
+    observe: dict[str, str] = {}
+    labware: dict[str, Condition] = {}
+
+
+class DeviceState(ReportedState):
+    """``alarms`` are process variables with an alarm severity; at ``severity`` or higher, the device is in
+    error."""
+
     alarms: list[str] = []
     severity: Literal["minor", "major", "invalid"] = "major"
 
 
-class SignalMapping(Part):
+class SignalMapping(DeviceMapping):
     """A device's process variables. ``boot`` names one that tells when the IOC was started. ``namespace`` is
     the URI of that of OPC UA. Arrays of characters in EPICS are texts, but for those in ``numbers``."""
 
@@ -101,9 +115,6 @@ class SignalMapping(Part):
     boot: str = ""
     reset: Many[Put] = []
     stop: Many[Put] = []
-    resources: dict[str, str] = {}
-    observe: dict[str, str] = {}
-    labware: dict[str, Condition] = {}
     numbers: list[str] = []
 
     @model_validator(mode="after")

@@ -6,31 +6,18 @@ Commands are named ``Feature.Command``.
 
 from __future__ import annotations
 
-from labos.spec.parts import Many, Part
-from labos.spec.signals import Condition
+from labos.spec.signals import DeviceMapping
 
 
-class SilaState(Part):
-    """How the device says that it is busy or in error; ``why`` names a property with words."""
-
-    busy: Many[Condition] = []
-    error: Many[Condition] = []
-    why: str = ""
-
-
-class SilaMapping(Part):
+class SilaMapping(DeviceMapping):
     """``harmless`` are the identifiers of defined errors after which nothing has moved. ``intermediate``
     names the actions whose intermediate responses are kept. ``reset`` and ``stop`` are commands without
     parameters."""
 
-    state: SilaState = SilaState()
     harmless: list[str] = []
     intermediate: list[str] = []
     reset: str = ""
     stop: str = ""
-    resources: dict[str, str] = {}
-    observe: dict[str, str] = {}
-    labware: dict[str, Condition] = {}
 
     @property
     def properties(self) -> set[str]:

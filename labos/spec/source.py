@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from labos.errors import SpecError
 MAX_BYTES = 4 * 1024 * 1024
 MAX_VALUES = 100_000
 MAX_DEPTH = 64
+TOO_MUCH = "Keep data in separate files and name them in arguments."
 
 
 class Place(NamedTuple):
@@ -36,18 +37,22 @@ Path_ = Sequence[str | int]
 
 
 class SourceMapping(dict[str, Any]):
-    """A mapping with the places of itself, its keys and its values."""
+    """A mapping with the places of itself, its keys and its values. ``values`` are put into it."""
 
-    def __init__(self, at: Place = NOWHERE) -> None:
+    def __init__(self, at: Place = NOWHERE, values: Mapping[str, Any] = {}) -> None:
         super().__init__()
         self.at = at
         self.keys_at: dict[str, Place] = {}
         self.values_at: dict[str, Place] = {}
+        for key, value in values.items():
+            self.put(key, value)
 
-    def put(self, key: str, value: Any, key_at: Place = NOWHERE, value_at: Place = NOWHERE) -> None:
+    def put(self, key: str, value: Any, key_at: Place | None = None, value_at: Place | None = None) -> None:
+        """Without places, they are that of the value, or of the mapping if the value has none itself."""
+        own = value.at if isinstance(value, SourceMapping | SourceList) else self.at
         self[key] = value
-        self.keys_at[key] = key_at
-        self.values_at[key] = value_at
+        self.keys_at[key] = key_at or own
+        self.values_at[key] = value_at or own
 
     def take(self, other: SourceMapping, key: str, name: str = "") -> None:
         """Copy an entry with its places, under another name if one is given."""
@@ -108,15 +113,11 @@ class Source:
 
     def error(self, message: str, path: Path_ = (), *, key: bool = False, remedy: str = "") -> SpecError:
         """A SpecError at the place of a path."""
-        at = self.place(path, key=key)
-        return SpecError(
-            message,
-            file=self.file,
-            line=at.line,
-            column=at.column,
-            field=self.name_field(path),
-            remedy=remedy,
-        )
+        return _make_error(self.file, message, self.place(path, key=key), remedy, self.name_field(path))
+
+
+def _make_error(file: str, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
+    return SpecError(message, file=file, line=at.line, column=at.column, field=field, remedy=remedy)
 
 
 def name_field(path: Path_) -> str:
@@ -157,37 +158,24 @@ def parse(
     """Read YAML text, as ``read`` does a file. Raises SpecError."""
     raw = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     if len(raw) > MAX_BYTES:
-        raise SpecError(
-            f"The file is larger than {MAX_BYTES // 1024 // 1024} MB.",
-            file=file,
-            remedy="Keep data in separate files and name them in arguments.",
-        )
+        message = f"The file is larger than {MAX_BYTES // 1024 // 1024} MB."
+        raise _make_error(file, message, NOWHERE, TOO_MUCH)
     try:
         written = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = raw.count(b"\n", 0, error.start) + 1
-        raise SpecError(
-            "The file is not text.", file=file, line=line, column=1, remedy="Save it as UTF-8 YAML."
-        ) from None
+        at = Place(raw.count(b"\n", 0, error.start) + 1, 1)
+        raise _make_error(file, "The file is not text.", at, "Save it as UTF-8 YAML.") from None
     try:
         node = _Loader(written).get_single_node()
     except yaml.MarkedYAMLError as error:
         at = _mark(error.problem_mark or error.context_mark)
-        raise SpecError(
-            f"This is not YAML: {_explain_plainly(error.problem or error.context or '')}.",
-            file=file,
-            line=at.line,
-            column=at.column,
-            remedy="Keep data in separate files and name them in arguments."
-            if isinstance(error, _TooMuch)
-            else "Check indentation, quotes and colons just before this place.",
-        ) from None
+        message = f"This is not YAML: {_explain_plainly(error.problem or error.context or '')}."
+        remedy = "Check indentation, quotes and colons just before this place."
+        raise _make_error(file, message, at, TOO_MUCH if isinstance(error, _TooMuch) else remedy) from None
     except yaml.reader.ReaderError as error:
-        line = written.count("\n", 0, int(error.position)) + 1
-        raise SpecError(
-            "The file contains characters that are not text.", file=file, line=line, column=1,
-            remedy="Is it a YAML file? Save it as UTF-8 text.",
-        ) from None  # fmt: skip
+        at = Place(written.count("\n", 0, int(error.position)) + 1, 1)
+        message = "The file contains characters that are not text."
+        raise _make_error(file, message, at, "Is it a YAML file? Save it as UTF-8 text.") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise SpecError(f"This is not YAML: {error}.", file=file, remedy="Rewrite the file.") from None
     builder = _Builder(file)
@@ -196,13 +184,8 @@ def parse(
         raise builder.doubles[0]
     if not isinstance(data, SourceMapping):
         what = "empty" if data is None else "not a table of keys and values"
-        raise SpecError(
-            f"The file is {what}.",
-            file=file,
-            line=1,
-            column=1,
-            remedy="Write `key: value` lines at the top level.",
-        )
+        remedy = "Write `key: value` lines at the top level."
+        raise _make_error(file, f"The file is {what}.", Place(1, 1), remedy)
     source = Source(file, data, digest(raw), folder)
     source.text, source.doubles = written, tuple(builder.doubles)
     return source
@@ -304,7 +287,7 @@ class _Builder:
             self.open.discard(id(node))
 
     def _make_error(self, message: str, at: Place, remedy: str, field: str = "") -> SpecError:
-        return SpecError(message, file=self.file, line=at.line, column=at.column, field=field, remedy=remedy)
+        return _make_error(self.file, message, at, remedy, field)
 
     def _build_table(self, node: yaml.MappingNode, at: Place) -> SourceMapping:
         if node.tag != "tag:yaml.org,2002:map":

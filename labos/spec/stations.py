@@ -79,6 +79,13 @@ class Stations:
             remedy=suggest_name(strip_place(written), self._exact, "station"),
         )
 
+    def find_known(self, text: object, module: str = "") -> StationName | None:
+        """As ``find``, but None if the text is not the name of one station."""
+        try:
+            return self.find(text, module) if isinstance(text, str) else None
+        except SpecError:
+            return None
+
     def list_matches(self, written: str, module: str = "") -> list[StationName]:
         """The stations to which a place without its workcell may refer, sorted. Only the nearest meaning
         counts; empty if there is none."""

@@ -151,10 +151,7 @@ def read_table(kind: DriverTable, written: Any) -> Any:
 def _strip_places(value: Any) -> Any:
     """Plain data in containers without places."""
     if isinstance(value, Mapping):
-        table = SourceMapping()
-        for key, item in value.items():
-            table.put(str(key), _strip_places(item))
-        return table
+        return SourceMapping(values={str(key): _strip_places(item) for key, item in value.items()})
     if isinstance(value, list | tuple):
         row = SourceList()
         for item in value:

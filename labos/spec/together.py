@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.core.effects import Needs, Reads, Requires, Sets
+from labos.core.ids import local
 from labos.core.model import ActionSpec, Description, StationSpec, Together
 from labos.spec.findings import suggest_name
 from labos.spec.models import ModuleEntry
@@ -33,7 +34,7 @@ def read_together(
             message = f"{name!r} of {entry.name} cannot be done for several runs at once: it {fault}."
             remarks.error(message, (*at, "actions", index), "Leave it out.")
         names.append(action.name)
-    own = [place for place in stations.by_name.values() if place.module.partition("/")[2] == entry.name]
+    own = [place for place in stations.by_name.values() if local(place.module) == entry.name]
     _check_places(entry.name, own, at, remarks)
     return Together(tuple(dict.fromkeys(names)), written.wait)
 
@@ -59,12 +60,12 @@ def _check_places(name: str, own: list[StationSpec], at: Path_, remarks: Remarks
     if sum(place.capacity for place in own if not place.hotel) < 2:
         remarks.error(f"{name} has no room for labware of several runs.", at, "Leave `together` out.")
     for place in own:
-        local = place.name.partition("/")[2]
+        short = local(place.name)
         if place.claim:
-            message = f"Labware at {local} blocks {name} for other runs, so actions cannot be done together."
-            remedy = f"Write `{local}: {{independent: true}}` below `stations:`."
+            message = f"Labware at {short} blocks {name} for other runs, so actions cannot be done together."
+            remedy = f"Write `{short}: {{independent: true}}` below `stations:`."
             remarks.error(message, at, remedy)
         elif place.stands_apart and not place.hotel:
-            message = f"Arms reach into {local} at any time, also while {name} is at work."
-            remedy = f"Define what has to be open: `{local}: {{access: {{lid: open}}}}` below `stations:`."
+            message = f"Arms reach into {short} at any time, also while {name} is at work."
+            remedy = f"Define what has to be open: `{short}: {{access: {{lid: open}}}}` below `stations:`."
             remarks.error(message, at, remedy)

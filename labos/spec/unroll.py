@@ -21,6 +21,7 @@ from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
 from labos.spec.references import fill, has_key, list_keys
+from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
 from labos.spec.validation import validate
@@ -75,12 +76,8 @@ class Unroller:
             self._put_aside(leaf, frame, path)
         self.layout.settle()
         if not self.layout.leaves and not self.report.errors:
-            self.report.error(
-                "No step of this workflow is left.",
-                source.place(("steps",)),
-                field="steps",
-                remedy="Check `when` and the lists of `for_each`, or do not submit it.",
-            )
+            remedy = "Check `when` and the lists of `for_each`, or do not submit it."
+            Remarks(source, self.report).error("No step of this workflow is left.", ("steps",), remedy)
         return self.layout
 
     def _put_way_out(
@@ -190,10 +187,7 @@ class Unroller:
         return True
 
     def _add_error(self, frame: UnrolledFile, message: str, path: Path_, remedy: str) -> None:
-        source = frame.source
-        self.report.error(
-            message, source.place(path), field=source.name_field(path), remedy=remedy, file=source.file
-        )
+        Remarks(frame.source, self.report).error(message, path, remedy)
 
     def _is_sound(self, entry: StepEntry, frame: UnrolledFile, path: Path_) -> bool:
         """Whether an entry is either a step or the use of a file."""
@@ -373,11 +367,8 @@ class Unroller:
             file = validate(WorkflowFile, form, report)
             for key in ("hold", "windows", "on_cancel") if file is not None else ():
                 if getattr(file, key):
-                    report.error(
-                        f"`{key}` is allowed only in the submitted workflow, not in a file that it "
-                            "uses.",
-                        form.place((key,), key=True), field=key, remedy="Write it there.",
-                    )  # fmt: skip
+                    what = f"`{key}` is allowed only in the submitted workflow, not in a file that it uses."
+                    Remarks(form, report).error(what, (key,), "Write it there.", key=True)
         except SpecError as error:
             self.report.keep(make_finding(error))
             return None

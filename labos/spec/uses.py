@@ -14,7 +14,7 @@ from labos.errors import SpecError
 from labos.spec.choices import expand_lists, is_left_open
 from labos.spec.dialects import convert_workcell, convert_workflow, detect_kind
 from labos.spec.findings import FindingList
-from labos.spec.models import RunSteps, StepEntry, WorkcellFile, WorkflowFile
+from labos.spec.models import WorkcellFile, WorkflowFile
 from labos.spec.references import find_result, list_keys
 from labos.spec.source import Source
 from labos.spec.validation import validate
@@ -86,7 +86,7 @@ def sort_workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Sour
             for cell in cells
             if file.workcell and _find_last_part(file.workcell) in (_find_last_part(cell), _find_stem(cell))
         ]
-        used = {e.module for one in expand_lists(file) for _, e in iterate_entries(one) if e.module}
+        used = {e.module for one in expand_lists(file) for _, e in one.iterate_entries() if e.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
         fitting = [cell for cell in named or cells if most and len(used & cells[cell]) == most]
         nearest = max((_count_shared(cell, source.file) for cell in fitting), default=0)
@@ -137,7 +137,7 @@ def _iterate_uses(source: Source) -> Iterator[Use]:
     if file is None:
         return
     result_uses: dict[str, list[ResultUse]] = {}
-    for _, entry in iterate_entries(file):
+    for _, entry in file.iterate_entries():
         for arg, value in entry.args.items():
             if (reference := find_result(value)) is not None:
                 step, fields = reference
@@ -145,7 +145,7 @@ def _iterate_uses(source: Source) -> Iterator[Use]:
                 result_uses.setdefault(_NUMBER.sub("", step), []).append(result_use)
     uses: list[Use] = []
     for one in expand_lists(file):
-        for path, entry in iterate_entries(one):
+        for path, entry in one.iterate_entries():
             if entry.module and not list_keys([entry.module, entry.action]):
                 where = f"{PurePath(source.file).name}, line {form.place(path).line}"
                 read = tuple(result_uses.get(entry.name, ()))
@@ -153,15 +153,3 @@ def _iterate_uses(source: Source) -> Iterator[Use]:
                 if use not in uses and not is_left_open(entry):
                     uses.append(use)
                     yield use
-
-
-def iterate_entries(file: WorkflowFile) -> Iterator[tuple[tuple[str | int, ...], StepEntry]]:
-    """All steps in a file, with their paths."""
-    on_cancel = file.on_cancel if isinstance(file.on_cancel, list) else []
-    waiting = [(("steps", i), entry) for i, entry in enumerate(file.steps)]
-    waiting += [(("on_cancel", i), entry) for i, entry in enumerate(on_cancel)]
-    for path, entry in waiting:
-        yield path, entry
-        if isinstance(entry.on_error, RunSteps) and isinstance(entry.on_error.run, list):
-            for index, inner in enumerate(entry.on_error.run):
-                yield (*path, "on_error", "run", index), inner

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from labos.spec.findings import MOST, FindingList, SpecErrors, suggest_name
 from labos.spec.mismatch import describe_mismatch
+from labos.spec.remarks import Remarks
 from labos.spec.source import Source, make_plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -50,48 +51,28 @@ def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:
 
 def _translate(model: type[BaseModel], source: Source, report: FindingList, error: Any) -> None:
     path = _keep_existing(source, error["loc"], error["type"])
-    field = source.name_field(path)
-    place = source.place(path)
     context: dict[str, Any] = error.get("ctx") or {}
+    unknown, remedy = error["type"] == "extra_forbidden", "Change the value."
     match error["type"]:
         case "extra_forbidden":
-            known = _list_keys_at(model, path[:-1])
-            report.error(
-                f"The key {path[-1]!r} is not known here.",
-                source.place(path, key=True),
-                field=field,
-                remedy=suggest_name(str(path[-1]), known, "key"),
-            )
+            message = f"The key {path[-1]!r} is not known here."
+            remedy = suggest_name(str(path[-1]), _list_keys_at(model, path[:-1]), "key")
         case "missing":
-            report.error(
-                f"The key {path[-1]!r} is missing.",
-                source.place(path[:-1]),
-                field=field,
-                remedy=f"Add `{path[-1]}:`.",
-            )
+            message, remedy = f"The key {path[-1]!r} is missing.", f"Add `{path[-1]}:`."
         case "value_error":
-            report.error(f"{context['error']}.".capitalize(), place, field=field, remedy="Change the value.")
+            message = f"{context['error']}.".capitalize()
         case "literal_error":
-            report.error(
+            message, remedy = (
                 f"{error['input']!r} is not one of the choices.",
-                place,
-                field=field,
-                remedy=f"Write {context['expected']}.",
+                f"Write {context['expected']}.",
             )
         case "string_pattern_mismatch":
-            report.error(
-                f"{error['input']!r} cannot be a name.",
-                place,
-                field=field,
-                remedy="Use letters, digits, '_', '-' and spaces, beginning with a letter or digit.",
-            )
+            message = f"{error['input']!r} cannot be a name."
+            remedy = "Use letters, digits, '_', '-' and spaces, beginning with a letter or digit."
         case _:
-            report.error(
-                f"The value {_shorten_value(error['input'])} does not fit: it {describe_mismatch(error)}.",
-                place,
-                field=field,
-                remedy="Change the value.",
-            )
+            value = _shorten_value(error["input"])
+            message = f"The value {value} does not fit: it {describe_mismatch(error)}."
+    Remarks(source, report).error(message, path, remedy, key=unknown)
 
 
 def _keep_existing(source: Source, loc: Sequence[int | str], kind: str) -> tuple[int | str, ...]:

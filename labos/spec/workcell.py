@@ -489,7 +489,5 @@ class _Modules:
 
 def _station_of(place: str, module: str, stations: Stations) -> str:
     """The name that steps use for a station of the file; other names are not changed."""
-    try:
-        return local(stations.find(place, module))
-    except SpecError:
-        return place
+    found = stations.find_known(place, module)
+    return place if found is None else local(found)

@@ -24,7 +24,7 @@ from labos.spec.layout import Origin, UnrolledRemarks
 from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
-from labos.spec.planner import StepPlanner
+from labos.spec.planner import Given, StepPlanner
 from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
@@ -102,11 +102,12 @@ def compile_workflow(
     finder = FileFinder(files or {}, [*([source.folder] if source.folder else []), *search])
     bound = bind_modules(file, workcell, Remarks(form, report))
     report.raise_if_failed()
+    known = (source, form, dialect != "labos", payload, workcell, descriptions, finder)
+    given = Given(*known, simulate, bench, left_out or {})
     found: list[Compiled] = []
     for one in bound:
-        given = Given(source, form, dialect != "labos", payload, workcell, descriptions, finder)
         try:
-            found.append(_compile(one.file, given, FindingList(source.file), simulate, bench, left_out or {}))
+            found.append(_compile(one.file, given, FindingList(source.file)))
         except SpecErrors as errors:
             raise SpecErrors([_with_choice(each, one.chosen) for each in errors.findings]) from None
         for each in found[-1].findings:
@@ -121,18 +122,6 @@ def compile_workflow(
     )
 
 
-class Given(msgspec.Struct):
-    """The data for compiling a workflow, besides the workflow itself."""
-
-    source: Source
-    form: Source
-    foreign: bool
-    payload: Mapping[str, Any]
-    workcell: Workcell
-    descriptions: Mapping[str, Description]
-    finder: FileFinder
-
-
 def _with_choice(finding: Finding, chosen: Mapping[str, str]) -> Finding:
     """A finding with the chosen modules for which it was made, if there is a choice."""
     if not chosen:
@@ -145,40 +134,19 @@ def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList)
     """Raises SpecErrors for plans that differ in more than their modules."""
     keys = [[(step.key, step.part) for step in each.plan.steps] for each in found]
     if any(other != keys[0] for other in keys):
-        report.error(
-            "The steps depend on which modules are chosen.",
-            form.place(("steps",)),
-            field="steps",
-            remedy="Name the `module:` of transfers to and from modules that are chosen.",
-        )
+        remedy = "Name the `module:` of transfers to and from modules that are chosen."
+        Remarks(form, report).error("The steps depend on which modules are chosen.", ("steps",), remedy)
         report.raise_if_failed()
 
 
-def _compile(
-    file: WorkflowFile,
-    given: Given,
-    report: FindingList,
-    simulate: bool,
-    bench: BenchFile | None,
-    left_out: Mapping[str, str],
-) -> Compiled:
+def _compile(file: WorkflowFile, given: Given, report: FindingList) -> Compiled:
     """Compile a workflow in which each step has one module. Raises SpecErrors."""
     payload, workcell, finder, form = given.payload, given.workcell, given.finder, given.form
     unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, given.descriptions))
     layout = unroller.unroll(file, form, _make_payload(file, payload), foreign=given.foreign)
     report.raise_if_failed()
     remarks = UnrolledRemarks(form, report, layout)
-    planner = StepPlanner(
-        file=file,
-        layout=layout,
-        workcell=workcell,
-        descriptions=given.descriptions,
-        remarks=remarks,
-        finder=finder,
-        simulate=simulate,
-        bench=bench,
-        left_out=left_out,
-    )
+    planner = StepPlanner(file, layout, remarks, given)
     planner.pinned.update(unroller.pinned)
     planner.contents.update(unroller.contents)
     plan = planner.plan()

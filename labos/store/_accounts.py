@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import msgspec
 import structlog
 from sqlalchemy import Connection, Engine, Table, delete, event, insert, select, update
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import SQLAlchemyError
 
+from labos.core.structs import make_from
 from labos.ports import Person, Session, Token
 from labos.store._errors import TranslatedErrors
 from labos.store._tables import account_identity as identity_table
@@ -82,9 +84,8 @@ class SqlAccounts:
     # -- tokens --------------------------------------------------------------------------------
 
     def add_token(self, token: Token, digest: bytes) -> None:
-        fields = {name: getattr(token, name) for name in Token.__struct_fields__ if name != "user"}
         with self.change() as connection:
-            connection.execute(insert(token_table).values(digest=digest, user_id=token.user, **fields))
+            _insert(connection, token_table, token, digest)
 
     def token(self, digest: bytes) -> Token | None:
         return next(iter(self._tokens(token_table.c.digest == digest)), None)
@@ -97,8 +98,7 @@ class SqlAccounts:
         statement = select(token_table).order_by(token_table.c.created_at)
         with self.read() as connection:
             rows = connection.execute(statement if condition is None else statement.where(condition)).all()
-        names = [name for name in Token.__struct_fields__ if name != "user"]
-        return [Token(user=row.user_id, **{name: getattr(row, name) for name in names}) for row in rows]
+        return [make_from(Token, row, user=row.user_id) for row in rows]
 
     def use_token(self, id_: str, now: int) -> None:
         with self.change() as connection:
@@ -118,20 +118,12 @@ class SqlAccounts:
         """Sessions that have ended are deleted here too."""
         with self.change() as connection:
             connection.execute(delete(session_table).where(session_table.c.expires_at <= session.created_at))
-            connection.execute(
-                insert(session_table).values(
-                    digest=digest,
-                    user_id=session.user,
-                    how=session.how,
-                    created_at=session.created_at,
-                    expires_at=session.expires_at,
-                )
-            )
+            _insert(connection, session_table, session, digest)
 
     def session(self, digest: bytes) -> Session | None:
         with self.read() as connection:
             row = connection.execute(select(session_table).where(session_table.c.digest == digest)).first()
-        return None if row is None else Session(row.user_id, row.how, row.created_at, row.expires_at)
+        return None if row is None else make_from(Session, row, user=row.user_id)
 
     def end_session(self, digest: bytes) -> None:
         with self.change() as connection:
@@ -158,6 +150,11 @@ class SqlAccounts:
     def _value(self, statement: Any) -> Any:
         with self.read() as connection:
             return connection.execute(statement).scalar()
+
+
+def _insert(connection: Connection, table: Table, of_a_user: Token | Session, digest: bytes) -> None:
+    fields = msgspec.structs.asdict(of_a_user)
+    connection.execute(insert(table).values(digest=digest, user_id=fields.pop("user"), **fields))
 
 
 def _replace(connection: Connection, table: Table, user: str, **values: Any) -> None:

@@ -55,7 +55,7 @@ def make_head_row(expected: Head, after: Head) -> Row:
 
 
 class Backend(Protocol):
-    """The part of the store that depends on the database."""
+    """The part of the store that depends on the database. What a database does not need does nothing."""
 
     reading: Engine
     """Connections for readers. They cannot write, and the writer never waits for them."""
@@ -72,12 +72,14 @@ class Backend(Protocol):
     def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
         """Make sure that the kernel of ``epoch`` is gone, and show that the kernel of ``epoch + 1`` lives.
         Called inside a claim, while the head row is locked. Raises Refused."""
+        return None
 
     def vacate(self) -> None:
         """Release what ``occupy`` and ``take_over`` took."""
 
     def keep(self, epoch: int) -> None:
         """Take again what a lost connection released; called at every renewal."""
+        return None
 
     def is_locked(self, connection: Connection, epoch: int) -> bool:
         """Whether the kernel of this epoch still holds the lock of a living kernel; called by readers. True
@@ -85,9 +87,11 @@ class Backend(Protocol):
 
     def stand_by(self, name: str) -> None:
         """Show that a standby of this name is ready."""
+        return None
 
     def standbys(self) -> list[str]:
         """The names of the standbys that are ready."""
+        return []
 
     def append(
         self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
@@ -115,15 +119,18 @@ class Backend(Protocol):
     def flaw(self, connection: Connection) -> str:
         """The fault that the database itself finds in its tables and indexes; empty if it finds none, or
         cannot check."""
+        return ""
 
     def forget(self) -> None:
         """End the work that the server may still do for the writer's old connection; called before the
         writer connects again after an error. Raises StoreUnavailable, or the driver's error, if this is
         not certain."""
+        return None
 
     def hang_up(self) -> None:
         """Close every connection from this side, even if a thread waits for an answer on it. May be called
         from any thread; it does not wait."""
+        return None
 
     def close(self) -> None: ...
 

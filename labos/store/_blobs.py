@@ -48,10 +48,7 @@ class FolderBlobs:
     def get(self, digest: str) -> bytes:
         """The bytes of a blob. Raises NotFound if there is none, LogDamaged (position 0) if its
         bytes changed, StoreUnavailable if it cannot be read."""
-        if not DIGEST.fullmatch(digest):
-            raise NotFound(
-                f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
-            )
+        check_name(digest)
         try:
             data = self._read(digest)
         except FileNotFoundError:
@@ -126,6 +123,14 @@ class FolderBlobs:
         return StoreUnavailable(
             f"The folder of blobs {self.path} is not available: {error.strerror or error}.",
             remedy="Check its disk and that the user who runs LabOS may write there.",
+        )
+
+
+def check_name(digest: str) -> None:
+    """Raises NotFound for a text that cannot be the name of a blob."""
+    if not DIGEST.fullmatch(digest):
+        raise NotFound(
+            f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
         )
 
 

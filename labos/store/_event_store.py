@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Lock
 
+import msgspec
 import structlog
 from sqlalchemy import Connection, delete, insert, select, update
 from sqlalchemy.engine import URL
@@ -258,16 +259,9 @@ class SqlEventStore(LogReader):
             return
         with self._door, self._transaction() as connection:
             lab = connection.execute(select(head.c.lab)).scalar_one()
-            values = {
-                "id": 1,
-                "position": position,
-                "hash": hash_,
-                "fingerprint": fingerprint,
-                "digest": self._files.seal_snapshot(lab, position, hash_, fingerprint, data),
-                "data": data,
-            }
+            seal = self._files.seal_snapshot(lab, position, hash_, fingerprint, data)
             connection.execute(delete(snapshot))
-            connection.execute(insert(snapshot), values)
+            connection.execute(insert(snapshot).values((1, position, hash_, fingerprint, seal, data)))
 
     def hang_up(self) -> None:
         """Break off every call that waits for the database, in any thread; it raises StoreUnavailable. The
@@ -358,22 +352,6 @@ def rows_of(expected: Head, records: Sequence[Record]) -> list[Row]:
                 f"{position - 1} of lab {expected.lab!r} at {recorded_at} ns"
             )
         recorded_at = at.recorded_at
-        rows.append(
-            (
-                position,
-                at.id,
-                at.stream,
-                at.version,
-                at.type,
-                at.schema,
-                recorded_at,
-                at.actor,
-                at.correlation,
-                at.causation,
-                at.digest,
-                record.envelope,
-                record.payload,
-                record.hash,
-            )
-        )
+        _lab, *fields = msgspec.structs.astuple(at)
+        rows.append((*fields, record.envelope, record.payload, record.hash))
     return rows

@@ -8,8 +8,7 @@ from sqlalchemy import select, text
 
 from labos.errors import StoreError
 from labos.store._backend import find_holder
-from labos.store._errors import TranslatedErrors
-from labos.store._open import choose_backend
+from labos.store._open import use_backend
 from labos.store._tables import head
 from labos.store._url import find_sqlite_path, parse_url
 
@@ -23,9 +22,8 @@ def find_lease_holder(url: str) -> str:
     parsed = parse_url(url)
     if parsed.get_backend_name() == "sqlite" and not find_sqlite_path(parsed).is_file():
         return ""
-    backend = choose_backend(parsed)
     try:
-        with TranslatedErrors(parsed), backend.reading.connect() as connection:
+        with use_backend(parsed) as backend, backend.reading.connect() as connection:
             lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
             row = connection.execute(lease).first()
             if row is None or not backend.is_locked(connection, row.epoch):
@@ -33,21 +31,14 @@ def find_lease_holder(url: str) -> str:
             return str(row.lease_owner) or "kernel"
     except StoreError:
         return ""
-    finally:
-        backend.close()
 
 
 def find_silent_holder(url: str) -> str:
     """The last kernel on this database, if it neither released the lab nor lives; otherwise empty. Raises
     BadInput for a URL that cannot be used, StoreUnavailable."""
-    parsed = parse_url(url)
-    backend = choose_backend(parsed)
-    try:
-        with TranslatedErrors(parsed):
-            found = find_holder(backend)
-            return "" if found.living else found.owner
-    finally:
-        backend.close()
+    with use_backend(parse_url(url)) as backend:
+        found = find_holder(backend)
+        return "" if found.living else found.owner
 
 
 def measure_database(url: str) -> int:
@@ -56,13 +47,8 @@ def measure_database(url: str) -> int:
     if file is not None:
         files = (file, file.with_name(file.name + "-wal"))
         return sum(part.stat().st_size for part in files if part.is_file())
-    parsed = parse_url(url)
-    backend = choose_backend(parsed)
-    try:
-        with TranslatedErrors(parsed), backend.reading.connect() as connection:
-            return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
-    finally:
-        backend.close()
+    with use_backend(parse_url(url)) as backend, backend.reading.connect() as connection:
+        return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
 
 
 def find_database_file(url: str) -> Path | None:

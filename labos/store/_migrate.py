@@ -126,13 +126,10 @@ def _status(url: URL) -> DatabaseStatus:
     name = display_name(url)
     if url.get_backend_name() == "sqlite" and not find_sqlite_path(url).is_file():
         return DatabaseStatus(name, "missing", "")
-    from labos.store._open import choose_backend
+    from labos.store._open import use_backend
 
-    backend = choose_backend(url)
-    try:
+    with use_backend(url) as backend:
         revision = _read_revision(backend.reading, name)
-    finally:
-        backend.close()
     if revision == REVISION:
         state = "current"
     elif not revision:
@@ -198,13 +195,9 @@ def _upgrade(url: URL) -> None:
 
 @contextmanager
 def _open_exclusive(url: URL) -> Iterator[Connection]:
-    from labos.store._open import choose_backend
+    from labos.store._open import use_backend
 
-    backend = choose_backend(url)
-    try:
-        with backend.writing.connect() as connection, connection.begin():
-            if connection.dialect.name == "postgresql":
-                connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _MIGRATION_LOCK})
-            yield connection
-    finally:
-        backend.close()
+    with use_backend(url) as backend, backend.writing.connect() as connection, connection.begin():
+        if connection.dialect.name == "postgresql":
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _MIGRATION_LOCK})
+        yield connection

@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.canonical import digest
 from labos.errors import BadInput, NotFound, StoreUnavailable
-from labos.store._blobs import DIGEST, FolderBlobs, verify_blob
+from labos.store._blobs import DIGEST, FolderBlobs, check_name, verify_blob
 
 REMEDY = "Check the address (LABOS_BLOBS), the credentials and that the bucket exists."
 
@@ -49,10 +49,7 @@ class ObjectBlobs:
     def get(self, digest: str) -> bytes:
         """The bytes of a blob. Raises NotFound if there is none, LogDamaged (position 0) if its bytes
         changed, StoreUnavailable if it cannot be read."""
-        if not DIGEST.fullmatch(digest):
-            raise NotFound(
-                f"{digest!r} is not the name of a blob.", remedy="Give 64 hexadecimal digits of a SHA-256."
-            )
+        check_name(digest)
         try:
             data: bytes = self._files.cat_file(self._name_object(digest))
         except FileNotFoundError:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy.engine import URL
@@ -40,14 +42,9 @@ def open_store(
 def scrub_words(url: str) -> str:
     """Remove all erased words from a database's files; returns why some may remain, empty if none does.
     Raises StoreUnavailable."""
-    parsed = parse_url(url)
     _expect_current(_migrate.read_database_status(url))
-    backend = choose_backend(parsed)
-    try:
-        with TranslatedErrors(parsed):
-            return backend.scrub()
-    finally:
-        backend.close()
+    with use_backend(parse_url(url)) as backend:
+        return backend.scrub()
 
 
 def _list_own_files(url: URL, home: Path | None) -> list[Path]:
@@ -67,6 +64,17 @@ def choose_backend(url: URL) -> Backend:
     from labos.store._postgres import PostgresBackend
 
     return PostgresBackend(url)
+
+
+@contextmanager
+def use_backend(url: URL) -> Iterator[Backend]:
+    """A backend that is closed afterwards. The database's errors are translated."""
+    with TranslatedErrors(url):
+        backend = choose_backend(url)
+        try:
+            yield backend
+        finally:
+            backend.close()
 
 
 def _expect_current(status: _migrate.DatabaseStatus) -> None:

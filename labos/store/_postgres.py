@@ -33,6 +33,7 @@ from labos.store._backend import (
     MOVE_HEAD,
     REWRITE_WORDS,
     REWRITING,
+    Backend,
     Row,
     WordChanges,
     make_head_row,
@@ -116,7 +117,7 @@ _COPY = f"COPY event ({_COLUMN_NAMES}) FROM STDIN (FORMAT BINARY)"
 _TYPES = ["int8", "text", "text", "int4", "text", "int4", "int8"] + ["text"] * 4 + ["bytea"] * 3
 
 
-class PostgresBackend:
+class PostgresBackend(Backend):
     """The backend for PostgreSQL.
 
     A kernel holds the advisory lock (LabO, epoch) in a session of its own. The server drops it when the
@@ -295,9 +296,6 @@ class PostgresBackend:
         return func.position(literal(part).op("IN")(column)) > 0
 
     # -- connections -----------------------------------------------------------------------
-
-    def flaw(self, connection: Connection) -> str:
-        return ""
 
     def forget(self) -> None:
         # If the connection broke, the server may still be completing the old transaction. When that session

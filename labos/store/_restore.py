@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import islice
 
+import msgspec
 from sqlalchemy import select, update
 
 from labos.core.envelope import GENESIS, Record
@@ -18,11 +19,10 @@ from labos.core.lab import LEAP
 from labos.errors import Refused
 from labos.ports import Head
 from labos.store._backend import WordChanges
-from labos.store._errors import TranslatedErrors
 from labos.store._event_store import rows_of
 from labos.store._lease import find_lease_holder
 from labos.store._migrate import migrate, read_database_status
-from labos.store._open import choose_backend
+from labos.store._open import use_backend
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
 from labos.store._words import StoredWords, make_changes, row_of
@@ -44,39 +44,25 @@ def restore_log(
     """Put records, and the words beside them, into a database without a log, in one transaction; returns the
     log's head. The caller has checked the records. Raises Refused if there is a log, StoreUnavailable; in
     both cases nothing was written."""
-    parsed = parse_url(url)
     refuse_to_overwrite(url)
     migrate(url)
-    backend = choose_backend(parsed)
-    source = iter(records)
+    source, rest = iter(records), iter(words)
     end = Head(LabId(lab), 0, GENESIS, epoch)
-    with TranslatedErrors(parsed):
-        try:
-            backend.occupy("labos restore")
-            with backend.writing.connect() as connection, connection.begin():
-                found = connection.execute(select(head.c.position).with_for_update()).scalar_one()
-                if found:
-                    raise _refuse_occupied(url, found)
-                rest = iter(words)
-                # The words are written before the events that erased some of them.
-                while some := list(islice(rest, _CHUNK)):
-                    backend.insert(connection, (), WordChanges(list(map(row_of, some))))
-                while chunk := list(islice(source, _CHUNK)):
-                    rows = rows_of(end, chunk)
-                    backend.insert(connection, rows, make_changes(chunk))
-                    last = chunk[-1]
-                    end = Head(end.lab, last.head.position, last.hash, epoch, last.head.recorded_at)
-                connection.execute(
-                    update(head).values(
-                        lab=lab,
-                        position=end.position,
-                        hash=end.hash,
-                        epoch=epoch,
-                        recorded_at=end.recorded_at,
-                    )
-                )
-        finally:
-            backend.close()
+    with use_backend(parse_url(url)) as backend:
+        backend.occupy("labos restore")
+        with backend.writing.connect() as connection, connection.begin():
+            found = connection.execute(select(head.c.position).with_for_update()).scalar_one()
+            if found:
+                raise _refuse_occupied(url, found)
+            # The words are written before the events that erased some of them.
+            while some := list(islice(rest, _CHUNK)):
+                backend.insert(connection, (), WordChanges(list(map(row_of, some))))
+            while chunk := list(islice(source, _CHUNK)):
+                rows = rows_of(end, chunk)
+                backend.insert(connection, rows, make_changes(chunk))
+                last = chunk[-1]
+                end = Head(end.lab, last.head.position, last.hash, epoch, last.head.recorded_at)
+            connection.execute(update(head).values(msgspec.structs.asdict(end)))
     return end
 
 
@@ -96,13 +82,8 @@ def refuse_to_overwrite(url: str) -> None:
             f"The {status.name} holds a log of revision {status.revision}.",
             remedy="Restore into another database, or move this one away.",
         )
-    parsed = parse_url(url)
-    backend = choose_backend(parsed)
-    try:
-        with TranslatedErrors(parsed), backend.reading.connect() as connection:
-            position = connection.execute(select(head.c.position)).scalar_one()
-    finally:
-        backend.close()
+    with use_backend(parse_url(url)) as backend, backend.reading.connect() as connection:
+        position = connection.execute(select(head.c.position)).scalar_one()
     if position:
         raise _refuse_occupied(url, position)
 
@@ -118,16 +99,12 @@ def raise_epoch(url: str, now_ns: int) -> tuple[int, int]:
             f"A kernel ({owner}) is running on the {display_name(parsed)}.",
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
-    backend = choose_backend(parsed)
-    with TranslatedErrors(parsed):
-        try:
-            backend.occupy("labos db restored")
-            with backend.writing.connect() as connection, connection.begin():
-                before = connection.execute(select(head.c.epoch).with_for_update()).scalar_one()
-                after = leap_epoch(before, now_ns)
-                connection.execute(update(head).values(epoch=after, lease_owner="", lease_until=0))
-        finally:
-            backend.close()
+    with use_backend(parsed) as backend:
+        backend.occupy("labos db restored")
+        with backend.writing.connect() as connection, connection.begin():
+            before = connection.execute(select(head.c.epoch).with_for_update()).scalar_one()
+            after = leap_epoch(before, now_ns)
+            connection.execute(update(head).values(epoch=after, lease_owner="", lease_until=0))
     return int(before), after
 
 

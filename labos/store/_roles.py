@@ -11,9 +11,8 @@ from sqlalchemy import text
 
 from labos.errors import BadInput, NotFound, Refused
 from labos.store._backend import REWRITE_WORDS, REWRITING
-from labos.store._errors import TranslatedErrors
 from labos.store._migrate import find_schema_of_log, read_database_status, refuse_newer
-from labos.store._open import choose_backend
+from labos.store._open import use_backend
 from labos.store._tables import VERSION_TABLE, metadata
 from labos.store._url import display_name, parse_url
 
@@ -58,32 +57,26 @@ def grant_writer(url: str, role: str) -> None:
     refuse_newer(status)
     if status.state != "current":
         raise Refused(f"The {status.name} is not ready.", remedy="Run first: labos db upgrade")
-    backend = choose_backend(parsed)
-    try:
-        with TranslatedErrors(parsed), backend.writing.connect() as connection, connection.begin():
-            found = connection.execute(_ROLE, {"role": role}).first()
-            if found is None:
-                raise NotFound(
-                    f"The {display_name(parsed)} has no role {role!r}.",
-                    remedy="Create it first: CREATE ROLE name LOGIN PASSWORD '…'",
-                )
-            if found.rolsuper or found.owns:
-                what = (
-                    "is a superuser"
-                    if found.rolsuper
-                    else "owns the tables, or belongs to a role that owns them"
-                )
-                raise Refused(
-                    f"The role {role!r} {what}, so it can change every record without a grant.",
-                    remedy="Use a separate role for the kernel.",
-                )
-            quoted = connection.dialect.identifier_preparer.quote_identifier(role)
-            schema = find_schema_of_log(connection)
-            connection.execute(text(f"REVOKE ALL ON {', '.join(_TABLES)} FROM {quoted}, PUBLIC"))
-            connection.execute(text(f"GRANT USAGE ON SCHEMA {schema} TO {quoted}"))
-            for right in _RIGHTS:
-                connection.execute(text(right.format(role=quoted)))
-            for part in _REWRITING:
-                connection.execute(text(part.format(role=quoted, schema=schema)))
-    finally:
-        backend.close()
+    with use_backend(parsed) as backend, backend.writing.connect() as connection, connection.begin():
+        found = connection.execute(_ROLE, {"role": role}).first()
+        if found is None:
+            raise NotFound(
+                f"The {display_name(parsed)} has no role {role!r}.",
+                remedy="Create it first: CREATE ROLE name LOGIN PASSWORD '…'",
+            )
+        if found.rolsuper or found.owns:
+            what = (
+                "is a superuser" if found.rolsuper else "owns the tables, or belongs to a role that owns them"
+            )
+            raise Refused(
+                f"The role {role!r} {what}, so it can change every record without a grant.",
+                remedy="Use a separate role for the kernel.",
+            )
+        quoted = connection.dialect.identifier_preparer.quote_identifier(role)
+        schema = find_schema_of_log(connection)
+        connection.execute(text(f"REVOKE ALL ON {', '.join(_TABLES)} FROM {quoted}, PUBLIC"))
+        connection.execute(text(f"GRANT USAGE ON SCHEMA {schema} TO {quoted}"))
+        for right in _RIGHTS:
+            connection.execute(text(right.format(role=quoted)))
+        for part in _REWRITING:
+            connection.execute(text(part.format(role=quoted, schema=schema)))

@@ -29,7 +29,15 @@ from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
 from labos.ports import Head
 from labos.private import make_database_file
-from labos.store._backend import ERASE_WORDS, INSERT_WORDS, MOVE_HEAD, Row, WordChanges, make_head_row
+from labos.store._backend import (
+    ERASE_WORDS,
+    INSERT_WORDS,
+    MOVE_HEAD,
+    Backend,
+    Row,
+    WordChanges,
+    make_head_row,
+)
 from labos.store._url import find_sqlite_path
 
 BUSY_TIMEOUT_S = 5.0
@@ -40,8 +48,9 @@ _log = structlog.get_logger(__name__)
 _INSERT = "INSERT INTO event VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
-class SqliteBackend:
-    """The backend for SQLite."""
+class SqliteBackend(Backend):
+    """The backend for SQLite. The file lock alone decides who is the kernel: it is released with its process,
+    so a restart need not wait. Nobody can be a standby."""
 
     now_ms: ColumnElement[int] = literal_column(
         "CAST((julianday('now') - 2440587.5) * 86400000 AS INTEGER)", BigInteger
@@ -62,10 +71,6 @@ class SqliteBackend:
                 remedy="Stop it first, or give this one a database of its own.",
             )
 
-    def take_over(self, epoch: int, owner: str, remaining_ms: int) -> None:
-        # The file lock decides: it is released with its process, so a restart need not wait.
-        pass
-
     def vacate(self) -> None:
         if self._lock.is_held:
             try:
@@ -73,17 +78,8 @@ class SqliteBackend:
             finally:
                 self._lock.release()
 
-    def keep(self, epoch: int) -> None:
-        pass
-
     def is_locked(self, connection: Connection, epoch: int) -> bool:
         return self._lock.is_taken()
-
-    def stand_by(self, name: str) -> None:
-        pass  # nobody can
-
-    def standbys(self) -> list[str]:
-        return []
 
     def append(
         self, connection: Connection, expected: Head, after: Head, rows: Sequence[Row], beside: WordChanges
@@ -128,12 +124,6 @@ class SqliteBackend:
     def flaw(self, connection: Connection) -> str:
         (found,) = connection.exec_driver_sql("PRAGMA integrity_check(1)").first() or ("ok",)
         return "" if found == "ok" else str(found)
-
-    def forget(self) -> None:
-        pass
-
-    def hang_up(self) -> None:
-        pass
 
     def close(self) -> None:
         # Close the readers first. SQLite moves its write-ahead log into the file and removes it when the last

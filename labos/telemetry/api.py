@@ -2,45 +2,27 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from labos.telemetry.process_metrics import describe_process
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup, MetricRegistry
 from labos.telemetry.signing import Signing
-
-
-class ApiReadings(msgspec.Struct, frozen=True):
-    """The state of an API process. ``here``, ``by_kernel`` and ``away`` count requests: answered here,
-    answered by the kernel, and not answered because the kernel was away. ``kernel_s`` is the total time that
-    the kernel took."""
-
-    lab: str
-    name: str
-    process: str
-    position: int
-    recorded_at: float
-    kernel_there: bool
-    here: int
-    by_kernel: int
-    away: int
-    kernel_s: float
 
 
 class ApiMetrics:
     """Updated at each scrape."""
 
     def __init__(self) -> None:
-        self.of_process = _ApiGroup()
+        self.of_process = ApiProcessMetrics()
         self.signing = Signing()
         self.registry = MetricRegistry([*self.of_process.families, *self.signing.families])
 
-    def text(self, now: ApiReadings) -> str:
+    def text(self) -> str:
         """Everything, in Prometheus' text format."""
-        self.of_process.update(now)
         return self.registry.text() + describe_process()
 
 
-class _ApiGroup(MetricGroup):
+class ApiProcessMetrics(MetricGroup):
+    """The metrics of an API process itself."""
+
     def __init__(self) -> None:
         self.info = GaugeMetric(
             "labos_api_info",
@@ -65,10 +47,3 @@ class _ApiGroup(MetricGroup):
         self.kernel_s = ComputedCounter(
             "labos_api_kernel_seconds_total", "Time that the kernel took for the requests that it answered."
         )
-
-    def update(self, now: ApiReadings) -> None:
-        self.info.set(1, (now.lab, now.name, now.process))
-        self.take(now)
-        self.requests.set(now.here, ("api",))
-        self.requests.set(now.by_kernel, ("kernel",))
-        self.requests.set(now.away, ("nobody",))

@@ -10,7 +10,6 @@ import platform
 import socket
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from typing import Protocol
 
 from prometheus_client import (
     CollectorRegistry,
@@ -40,14 +39,8 @@ ACTIONS = 200
 """The number of a driver's actions with their own series."""
 
 
-class AnsweringNode(Protocol):
-    """A node that answers with its state."""
-
-    def state(self) -> StateReport: ...
-
-
 class NodeMetrics(MetricGroup):
-    """The node's server calls ``on_end``; ``watch`` sets the node to ask for its state."""
+    """The node's server calls ``on_end``; ``watch`` says how to ask it for its state."""
 
     def __init__(self, driver: str, version: str, *, simulated: bool) -> None:
         self.info = GaugeMetric(
@@ -83,12 +76,12 @@ class NodeMetrics(MetricGroup):
         self.registry = MetricRegistry(self.families)
         self._ask: Callable[[], StateReport] | None = None
 
-    def watch(self, node: AnsweringNode, loop: asyncio.AbstractEventLoop) -> None:
-        """Ask this node for its state, in its own event loop."""
+    def watch(self, state: Callable[[], StateReport], loop: asyncio.AbstractEventLoop) -> None:
+        """Ask the node for its ``state``, in its own event loop."""
 
         def ask() -> StateReport:
             answer: Future[StateReport] = Future()
-            loop.call_soon_threadsafe(lambda: answer.set_result(node.state()))  # RuntimeError if it is closed
+            loop.call_soon_threadsafe(lambda: answer.set_result(state()))  # RuntimeError if it is closed
             return answer.result(PATIENCE_S)
 
         self._ask = ask

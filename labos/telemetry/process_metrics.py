@@ -5,7 +5,6 @@ from __future__ import annotations
 import platform
 from functools import cache
 
-import msgspec
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
 
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup
@@ -23,35 +22,6 @@ def _make_collectors() -> CollectorRegistry:
 def describe_process() -> str:
     """The system's metrics of this process, in Prometheus' text format."""
     return generate_latest(_make_collectors()).decode()
-
-
-class ProcessReadings(msgspec.Struct, frozen=True):
-    """The state of the kernel's process. ``store_bytes`` is None if the database cannot report it cheaply.
-    ``decided`` is the last decided position, and ``durable`` the last one on disk. ``started_at`` is in UTC
-    s."""
-
-    lab: str
-    name: str
-    simulated: bool
-    pace: float
-    epoch: int
-    started_at: float
-    suspended: bool
-    decided: int
-    durable: int
-    checked: int
-    damaged: bool
-    store_bytes: int | None
-    disk_free: int
-    disk_size: int
-    queries: int
-    unanswered: int
-    published: int
-    dropped: int
-    left_out: int
-    spans: int
-    spans_sent: int
-    faults: int
 
 
 class ProcessMetrics(MetricGroup):
@@ -122,12 +92,11 @@ class ProcessMetrics(MetricGroup):
         )
         self.build.set(1, (VERSION, platform.python_version()))
 
-    def update(self, now: ProcessReadings) -> None:
-        bench = "simulated" if now.simulated else "real"
-        self.lab_info.replace({(now.lab, now.name, bench): 1.0})
-        self.take(now)
-        self.available.set(1)
-        self.unwritten.set(max(now.decided - now.durable, 0))
+    def update(self, lab: str, name: str, simulated: bool, **readings: float | None) -> None:
+        """Take readings of the kernel's process, by the names of the metrics. ``store_bytes`` is None if the
+        database cannot report it cheaply."""
+        self.lab_info.replace({(lab, name, "simulated" if simulated else "real"): 1.0})
+        self.take(available=1, **readings)
 
     def lose(self) -> None:
         """Record that the log cannot be written; the other metrics keep their values."""

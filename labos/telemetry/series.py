@@ -13,7 +13,6 @@ from bisect import bisect_left
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal
 
-import msgspec
 from prometheus_client import Metric
 
 Labels = tuple[str, ...]
@@ -241,12 +240,11 @@ class MetricGroup:
     def families(self) -> list[LabMetric]:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
 
-    def take(self, readings: msgspec.Struct) -> None:
-        """Set each metric from the reading with the same name; a metric keeps its value if the reading is
-        None."""
-        for name, value in msgspec.structs.asdict(readings).items():
-            metric = getattr(self, name, None)
-            if isinstance(metric, GaugeMetric) and value is not None:
+    def take(self, **readings: float | None) -> None:
+        """Set the metrics with these names; a metric keeps its value if its reading is None."""
+        for name, value in readings.items():
+            metric: GaugeMetric = getattr(self, name)
+            if value is not None:
                 metric.set(value)
 
     def clear(self) -> None:

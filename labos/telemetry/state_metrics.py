@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from labos.core.calibrations import find_first_expiry
 from labos.core.days import end_of
-from labos.core.ids import ModuleName, StationName, local, workcell_of
+from labos.core.ids import ModuleName, StationName, local, split_level_key, workcell_of
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
 from labos.planning.scheduler import Scheduler
@@ -272,8 +272,8 @@ def _state_keys(name: ModuleName) -> tuple[tuple[str, Labels], ...]:
 
 @lru_cache(maxsize=10_000)
 def _resource_key(name: str) -> Labels:
-    module, _, resource = name.rpartition(":")
-    return workcell_of(ModuleName(module)), local(module), resource
+    module, resource = split_level_key(name)
+    return workcell_of(module), local(module), resource
 
 
 @lru_cache(maxsize=50_000)

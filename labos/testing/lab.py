@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation
 from labos.core.ids import ModuleName, StationName, local
@@ -20,10 +20,10 @@ from labos.core.modules import ModuleStatus
 from labos.core.runs import RunState
 from labos.core.state import LabState, hash_state
 from labos.planning.safety import Safety
-from labos.planning.scheduler import Scheduler, make_searching_scheduler
+from labos.planning.scheduler import Scheduler
 from labos.services.truth import list_differences
 from labos.store import write_segment
-from labos.testing.faults import FaultRates, Faults
+from labos.testing.faults import FaultRates
 from labos.testing.loop import Stalled
 from labos.testing.people import LOOK_S, People
 from labos.testing.processes import Conditions
@@ -60,7 +60,8 @@ class SimulatedLab(People):
     """One lab under one seed. Modules in ``dead`` never have a node. Modules in ``doomed`` lose their node
     after the given seconds, and get it back after the seconds in ``mended``, if given there. ``stops`` are
     emergency stops: a module, and the seconds after which it is stopped. With ``still_s``, the simulation
-    ends when nothing has happened for this time. The other fields are those of ``Conditions``."""
+    ends when nothing has happened for this time. ``conditions`` are the fields of
+    ``Conditions``."""
 
     def __init__(
         self,
@@ -68,24 +69,13 @@ class SimulatedLab(People):
         seed: int,
         rates: FaultRates,
         *,
-        dead: Sequence[str] = (),
         doomed: Mapping[str, float] | None = None,
-        mended: Mapping[str, float] | None = None,
         stops: Sequence[tuple[str, float]] = (),
         still_s: float = 0.0,
         meddles: Sequence[Meddle] = (),
-        plan_with: Callable[[], Scheduler] = make_searching_scheduler,
-        make_faults: Callable[[FaultRates, random.Random], Faults] = Faults,
-        pace: float = 1.0,
-        lease_s: float = 1e9,
-        standby: bool = False,
-        most_kernels: int = 100_000,
-        snapshot_every: int = 300,
+        **conditions: Any,
     ) -> None:
-        conditions = Conditions(
-            dead, mended or {}, plan_with, make_faults, pace, lease_s, standby, most_kernels, snapshot_every
-        )
-        super().__init__(stand, seed, rates, conditions)
+        super().__init__(stand, seed, rates, Conditions(**conditions))
         self.doomed = dict(doomed or {})
         self.stops = stops
         self.still_s = still_s

@@ -18,7 +18,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.nodes import TakeOut
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation, Replenish, UnloadStation
-from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local
+from labos.core.ids import SHARED, ExperimentId, ModuleName, StationName, local, split_key
 from labos.core.interventions import Intervention
 from labos.core.model import Plan, PlanStep
 from labos.core.modules import ModuleStatus
@@ -365,4 +365,4 @@ def _is_closed(state: LabState, experiment: ExperimentId) -> bool:
 def _is_left_behind(state: LabState, place: StationName) -> bool:
     """Whether the labware at a place does not belong to a run any more."""
     left = [item for item in state.bench.labware.values() if item.station == place]
-    return bool(left) and all(item.owner.startswith(("user:", SHARED)) for item in left)
+    return bool(left) and all(split_key(item.owner)[0] in ("user", SHARED) for item in left)

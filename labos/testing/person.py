@@ -84,7 +84,7 @@ def _pick_up(world: World, device: str) -> bool:
 
 def _look_for_move(world: World, state: LabState, question: Intervention, device: str, effect: Move) -> str:
     if isinstance(effect, Unlid | Relid):
-        return _look_for_lid(world, state, device, effect)
+        return _look_for_lid(world, device, effect)
     if _pick_up(world, device):
         return "gone"
     hand, source = f"hand:{device}", state.bench.stations[effect.source]
@@ -122,7 +122,7 @@ def _slot(state: LabState, effect: Move) -> str:
     return f"{local(module)}.{slot}" if slot and local(effect.source) == f"{local(module)}.slots" else ""
 
 
-def _look_for_lid(world: World, state: LabState, device: str, effect: Unlid | Relid) -> str:
+def _look_for_lid(world: World, device: str, effect: Unlid | Relid) -> str:
     off = isinstance(effect, Unlid)
     bears = world.at(local(effect.source if off else effect.target))[-1]
     source = lid_of(bears) if off else local(effect.source)

@@ -11,7 +11,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.registry import decode
 from labos.core.runs import PENDING, RunFailed, Runs
 from labos.core.state import LabState
-from labos.core.steps import HANDLERS, StepRetried
+from labos.core.steps import StepRetried, fold_step_retried
 from labos.planning import paths
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import SimulatedLab
@@ -132,8 +132,11 @@ def test_a_press_that_jams_is_reset_before_it_is_tried_again() -> None:
 
 def test_without_waiting_for_the_reset_it_breaks(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: the next try does not wait for the reset of its module."""
-    monkeypatch.setitem(HANDLERS, StepRetried, _no_reset)
-    monkeypatch.setattr(fold, "TABLE", fold._make_table())
+    handlers = [
+        (name, _no_reset if handler is fold_step_retried else handler)
+        for name, handler in fold.TABLE[StepRetried]
+    ]
+    monkeypatch.setitem(fold.TABLE, StepRetried, tuple(handlers))
     assert any("presses while it is jammed" in crash for crash in CORNER.crashes(JAMMING, 1))
 
 

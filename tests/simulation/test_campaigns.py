@@ -42,7 +42,7 @@ class Facility(SimulatedLab):
     """A lab whose kernels feed campaigns; its user submits one and waits for its end."""
 
     def _serve(self, kernel: Kernel) -> None:
-        Feeder(kernel, Table()).start()
+        Feeder(kernel, Table().propose).start()
 
     async def _act_as_user(self, job: Job) -> None:
         submit = SubmitCampaign(

@@ -462,10 +462,10 @@ class Driver:
 
     def find_missed(self) -> list[str]:
         """What a scheduler that looks at everything would start now, though nothing was proposed:
-        a start that nobody was woken for. Whom it has passed over, how it means to keep windows, and its own
+        a start that nobody was woken for. Whom it has overtaken, how it means to keep windows, and its own
         order are all that it is told."""
         fresh = Scheduler()
-        fresh.room._passed_over = copy.deepcopy(self.scheduler.room._passed_over)
+        fresh.room._overtakings = copy.deepcopy(self.scheduler.room._overtakings)
         fresh.patience = copy.deepcopy(self.scheduler.patience)
         fresh.reservations.windows.remember(self.scheduler.reservations.windows)
         fresh.adviser.own = copy.deepcopy(self.scheduler.adviser.own)

@@ -12,8 +12,9 @@ import contextlib
 from collections.abc import AsyncGenerator, Awaitable, Callable
 from typing import Any, ClassVar
 
-from labos.adapter._channels import SETTLED, ChannelReading, is_fulfilled, leaves_open
-from labos.adapter._foreign import SENT, ForeignNode, Silence, read_file
+from labos.adapter._channels import SETTLED, ChannelReading
+from labos.adapter._condition_node import ConditionNode
+from labos.adapter._foreign import SENT, Silence, read_file
 from labos.adapter._http import NoResponse
 from labos.adapter.sila.client import Client, SilaError, read_certificate
 from labos.adapter.sila.describe import actions_of, find_command, find_property, simplify_name
@@ -22,8 +23,6 @@ from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
-from labos.spec.flaws import find_first_flaw
-from labos.spec.signals import Condition
 from labos.spec.sila import SilaMapping
 
 START_S = 30.0
@@ -48,11 +47,12 @@ REFUSED = ("validation", "not accepted", "metadata")
 """Errors that a server reports before it carries out a command."""
 
 
-class SilaNode(ForeignNode):
+class SilaNode(ConditionNode):
     """Config: ``sila_address`` (``host:port``), or ``node_url`` (``sila://host:port``); ``sila_certificate``,
     a file with the server's certificate or its signer's; ``sila_server_name``, the name in it, if that is
     not the host; ``sila_insecure`` for servers without encryption; ``sila`` (the mapping)."""
 
+    mapping: SilaMapping
     trusts_the_line: ClassVar[bool] = False
     """The default for connecting without encryption."""
 
@@ -74,10 +74,7 @@ class SilaNode(ForeignNode):
 
     async def connect(self) -> None:
         config = self.setup.config
-        written = config.get("sila") or {}
-        if flaw := find_first_flaw(SilaMapping, written):
-            raise DeviceError(f"In `sila:`, {flaw}.", effects="none")
-        self.mapping = SilaMapping.model_validate(written)
+        self.mapping = self.read_table("sila", SilaMapping, config.get("sila") or {})
         address = str(config.get("sila_address") or config.get("node_url") or "")
         address = self.complete(address.removeprefix("sila://").rstrip("/"))
         if not address:
@@ -102,19 +99,13 @@ class SilaNode(ForeignNode):
 
     # -- how it is ---------------------------------------------------------------------------
 
-    @property
-    def reports_busy(self) -> bool:
-        return bool(self.mapping.state.busy)
-
     async def is_idle(self) -> bool:
         """By the properties of the mapping. Without them, the server is idle if it answers and no action can
         still be under way."""
         await self._learn()
         if not self.reports_busy:
             await self.client.check_alive()
-            return await super().is_idle()
-        seen = [(condition, await self._read_value(condition)) for condition in self.mapping.state.busy]
-        return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)
+        return await super().is_idle()
 
     async def trouble(self) -> str:
         try:
@@ -157,7 +148,7 @@ class SilaNode(ForeignNode):
     async def _describe_error(self) -> str:
         state = self.mapping.state
         for condition in state.error:
-            if await self._is_fulfilled(condition):
+            if await self.is_fulfilled(condition):
                 seen = await self._read_property(state.why or condition.pv)
                 words = seen if state.why else f"{condition.pv} is {seen}"
                 return f"The device is in error: {words}. Reset the module."
@@ -166,26 +157,14 @@ class SilaNode(ForeignNode):
     async def observe(self) -> dict[str, Any]:
         self.look()
         await self._learn()
-        seen = {variable: await self._read_property(name) for variable, name in self.mapping.observe.items()}
-        if self.mapping.labware:
-            places = self.mapping.labware.items()
-            readings = [(at, condition, await self._read_value(condition)) for at, condition in places]
-            seen["labware"] = {
-                at: is_fulfilled(condition, now)
-                for at, condition, now in readings
-                if not leaves_open(condition, now)
-            }
-        return seen
+        return await super().observe()
 
     async def resources(self) -> dict[str, float]:
         await self._learn()
-        return {what: float(await self._read_property(name)) for what, name in self.mapping.resources.items()}
+        return await super().resources()
 
-    async def _is_fulfilled(self, condition: Condition) -> bool:
-        return is_fulfilled(condition, await self._read_value(condition))
-
-    async def _read_value(self, condition: Condition) -> ChannelReading:
-        return ChannelReading(await self._read_property(condition.pv))
+    async def read(self, name: str) -> ChannelReading:
+        return ChannelReading(await self._read_property(name))
 
     async def _read_property(self, name: str) -> Any:
         """The present value of a property, or an element of it. Raises DeviceError (``none``)."""

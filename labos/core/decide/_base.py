@@ -25,7 +25,11 @@ class Command(msgspec.Struct, frozen=True, tag=True):
         return ()
 
 
-class Report(Command, frozen=True):
+class InnerCommand(Command, frozen=True):
+    """A command that LabOS itself sends. No user may."""
+
+
+class Report(InnerCommand, frozen=True):
     """A device, a node or a program reports something that has happened. A report is not refused because of
     its texts: long texts are cut."""
 
@@ -63,6 +67,11 @@ def check_recordable(events: Iterable[Event]) -> Decision:
                 "Hand large data in as a file.",
             )
     return known if later is None else chain(known, later)
+
+
+def list_possible(decision: Decision) -> Iterable[Event]:
+    """The events of a decision; none if the command was rejected."""
+    return () if isinstance(decision, Rejection) else decision
 
 
 def refuse_hotel(state: LabState, station: StationName) -> Rejection | None:

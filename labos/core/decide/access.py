@@ -8,7 +8,15 @@ from itertools import chain
 import msgspec
 
 from labos.core.actions import ActionStatus
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.decide._base import (
+    Command,
+    Decision,
+    InnerCommand,
+    Rejection,
+    decides,
+    list_possible,
+    refuse_hotel,
+)
 from labos.core.decide.by_hand import withdraw_answered
 from labos.core.decide.cancelling import cancel_all
 from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
@@ -44,7 +52,7 @@ class RequestAccess(Command, frozen=True):
         return self.parking
 
 
-class GrantAccess(Command, frozen=True):
+class GrantAccess(InnerCommand, frozen=True):
     """Planning has nothing left to start: grant access if nothing moves."""
 
     workcell: str
@@ -108,8 +116,7 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
 
 def _submit_all(state: LabState, runs: Iterable[SubmitRun]) -> Iterator[Event]:
     for run in runs:
-        decision = submit_run(state, run)
-        yield from () if isinstance(decision, Rejection) else decision
+        yield from list_possible(submit_run(state, run))
 
 
 @decides(GrantAccess)
@@ -119,7 +126,7 @@ def grant_access(state: LabState, command: GrantAccess) -> Decision:
         return []
     # An arm that could not be parked stays where it is.
     runs = [*state.runs.active.values(), *state.runs.queued.values()]
-    parking = [run for run in runs if run.plan in access.parking]
+    parking = [run.id for run in runs if run.plan in access.parking]
     return chain([AccessGranted(command.workcell)], cancel_all(state, parking))
 
 

@@ -22,11 +22,12 @@ from labos.core.actions import (
     FailureKind,
 )
 from labos.core.bench import split_item
-from labos.core.decide._base import Command, Decision, Rejection, Report, check_recordable, decides
+from labos.core.decide._base import Decision, InnerCommand, Rejection, Report, check_recordable, decides
 from labos.core.decide.barcodes import record_barcodes
 from labos.core.decide.choices import bind
 from labos.core.decide.endings import give_up
 from labos.core.decide.inputs import fill_inputs, name_returned_files
+from labos.core.decide.lookups import decides_about, find_action, find_attempt
 from labos.core.decide.outcomes import (
     find_shown_outcome,
     limit_result,
@@ -49,7 +50,6 @@ from labos.core.effects import (
     list_moved,
 )
 from labos.core.ids import ActionId, LabwareId, RunId, StationName, local, run_owner, workcell_of
-from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import LABWARE_TYPE, PLATE_TYPE, Plan, PlanStep
 from labos.core.modules import ModuleStatus, NodeStateChanged, find_unproven
@@ -65,7 +65,7 @@ from labos.core.watching import list_watched
 from labos.core.wells import find_misfit
 
 
-class StartStep(Command, frozen=True):
+class StartStep(InnerCommand, frozen=True):
     """Request a step's action. ``action`` is its permanent id. If a run has several plans to choose from, its
     first step binds it to ``plan``."""
 
@@ -285,11 +285,8 @@ def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[
     return tuple(out)
 
 
-@decides(AcceptAction)
-def accept_action(state: LabState, command: AcceptAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None or action.attempt != command.attempt:
-        return []
+@decides_about(AcceptAction, find_attempt)
+def accept_action(state: LabState, command: AcceptAction, action: Action) -> Decision:
     accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
     if action.status == ActionStatus.UNKNOWN and not action.looks:
         # Its node was away and is back. A question because of a late end stays open.
@@ -298,11 +295,8 @@ def accept_action(state: LabState, command: AcceptAction) -> Decision:
     return [accepted] if action.status == ActionStatus.REQUESTED else []
 
 
-@decides(RefuseAction)
-def refuse_action(state: LabState, command: RefuseAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None or action.attempt != command.attempt:
-        return []
+@decides_about(RefuseAction, find_attempt)
+def refuse_action(state: LabState, command: RefuseAction, action: Action) -> Decision:
     if state.shorter.since and action.status == ActionStatus.UNKNOWN and not command.final:
         # Another attempt may have been made in the lost end of the log: a person reports how it ended.
         return []
@@ -407,10 +401,9 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
     return events
 
 
-@decides(ResendAction)
-def resend_action(state: LabState, command: ResendAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None or action.attempt != command.attempt or action.status != ActionStatus.REQUESTED:
+@decides_about(ResendAction, find_attempt)
+def resend_action(state: LabState, command: ResendAction, action: Action) -> Decision:
+    if action.status != ActionStatus.REQUESTED:
         return []
     if state.shorter.since and not _is_recovery(state, action):
         # A later attempt may have been made in the lost end of the log. Nothing may move on a bench whose
@@ -424,10 +417,9 @@ def resend_action(state: LabState, command: ResendAction) -> Decision:
     return [make_from(ActionRequested, action, action=action.id, **attempt)]
 
 
-@decides(DoubtAction)
-def doubt_action(state: LabState, command: DoubtAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None or action.looks or find_work(state, action) is not None:
+@decides_about(DoubtAction, find_action)
+def doubt_action(state: LabState, command: DoubtAction, action: Action) -> Decision:
+    if action.looks or find_work(state, action) is not None:
         return []  # its device has reported success, or a person knows the outcome
     if action.status == ActionStatus.UNKNOWN:
         return _settle_by_sight(state, action)
@@ -443,5 +435,5 @@ def _settle_by_sight(state: LabState, action: Action) -> Iterable[Event]:
     choice = find_shown_outcome(state, action, item.station) if item is not None else ""
     if question is None or not choice:
         return []
-    seen = InterventionResolved(question.id, "withdrawn", "labos", "observed at its place meanwhile")
+    seen = question.withdraw("observed at its place meanwhile")
     return chain([seen], settle(state, action, choice, "labos"))

@@ -20,10 +20,10 @@ from labos.core.bookings import (
     BookingSkipped,
     BookingSpan,
 )
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.limits import BAD_TEXT, find_fault
-from labos.core.ids import SHARED, ModuleName, local, split_owner, workcell_of
-from labos.core.interventions import InterventionResolved
+from labos.core.decide.lookups import decides_about, expect_booking, find_owner
+from labos.core.ids import SHARED, ModuleName, local, workcell_of
 from labos.core.recurrence import DAY_NS, LATEST, find_rule_fault, find_zone, in_zone
 from labos.core.registry import Event
 from labos.core.roles import rank_role_in
@@ -88,21 +88,21 @@ class CancelBooking(Command, frozen=True):
     begins: int = 0
 
 
-class NearBooking(Command, frozen=True):
+class NearBooking(InnerCommand, frozen=True):
     """A booking begins soon."""
 
     booking: str
     now: int
 
 
-class BeginBooking(Command, frozen=True):
+class BeginBooking(InnerCommand, frozen=True):
     """The time of a booking has come."""
 
     booking: str
     now: int
 
 
-class EndBooking(Command, frozen=True):
+class EndBooking(InnerCommand, frozen=True):
     """The time of a booking is over."""
 
     booking: str
@@ -117,11 +117,8 @@ def make_booking(state: LabState, command: MakeBooking) -> Decision:
     return [_make_event(BookingMade, state.bookings.next_id, command.target, command, over)]
 
 
-@decides(ChangeBooking)
-def change_booking(state: LabState, command: ChangeBooking) -> Decision:
-    booking = state.bookings.open.get(command.booking)
-    if booking is None:
-        return refuse_unknown_booking(command.booking)
+@decides_about(ChangeBooking, expect_booking)
+def change_booking(state: LabState, command: ChangeBooking, booking: Booking) -> Decision:
     if command.terms.why is None:
         same = msgspec.structs.replace(command.terms, why=booking.why)
         command = msgspec.structs.replace(command, terms=same)
@@ -131,11 +128,8 @@ def change_booking(state: LabState, command: ChangeBooking) -> Decision:
     return [_make_event(BookingChanged, booking.id, booking.target, command, over)]
 
 
-@decides(CancelBooking)
-def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
-    booking = state.bookings.open.get(command.booking)
-    if booking is None:
-        return refuse_unknown_booking(command.booking)
+@decides_about(CancelBooking, expect_booking)
+def cancel_booking(state: LabState, command: CancelBooking, booking: Booking) -> Decision:
     if not command.begins or not booking.rule:
         return [BookingCancelled(booking.id, command.by, command.why)]
     times = booking.list_spans(command.begins, command.begins + 1)
@@ -148,24 +142,23 @@ def cancel_booking(state: LabState, command: CancelBooking) -> Decision:
     return [BookingSkipped(booking.id, command.begins, command.by, command.why)]
 
 
-@decides(NearBooking)
-def near_booking(state: LabState, command: NearBooking) -> Decision:
-    span = _find_due_span(state, command, "near")
-    return [BookingNeared(command.booking, span.begins, span.ends)] if span is not None else []
-
-
-@decides(BeginBooking)
-def begin_booking(state: LabState, command: BeginBooking) -> Decision:
-    span = _find_due_span(state, command, "begin")
-    return [BookingBegan(command.booking, span.begins, span.ends)] if span is not None else []
-
-
-def _find_due_span(state: LabState, command: NearBooking | BeginBooking, change: str) -> BookingSpan | None:
+def _find_due_span(state: LabState, command: NearBooking | BeginBooking) -> BookingSpan | None:
     """The next time of a booking if this change of it is due."""
     booking = state.bookings.open.get(command.booking)
+    change = "near" if isinstance(command, NearBooking) else "begin"
     if booking is None or booking.change_due(command.now) != change:
         return None
     return booking.find_next_span(booking.handled)
+
+
+@decides_about(NearBooking, _find_due_span)
+def near_booking(state: LabState, command: NearBooking, span: BookingSpan) -> Decision:
+    return [BookingNeared(command.booking, span.begins, span.ends)]
+
+
+@decides_about(BeginBooking, _find_due_span)
+def begin_booking(state: LabState, command: BeginBooking, span: BookingSpan) -> Decision:
+    return [BookingBegan(command.booking, span.begins, span.ends)]
 
 
 @decides(EndBooking)
@@ -182,10 +175,6 @@ def end_booking(state: LabState, command: EndBooking) -> Decision:
         last = missed[-1] if missed else BookingSpan(booking.begins, booking.ends, booking.id)
     over = booking.find_next_span(max(last.ends, booking.handled)) is None
     return [BookingEnded(booking.id, last.begins, last.ends, over)]
-
-
-def refuse_unknown_booking(name: str) -> Rejection:
-    return Rejection("no_booking", f"There is no open booking {name}.", "List them: labos bookings")
 
 
 def list_modules(state: LabState, target: str) -> list[ModuleName]:
@@ -432,11 +421,7 @@ def _is_theirs(state: LabState, booking: Booking, item: Labware) -> bool:
     """Whether labware is shared, or belongs to a person with the booking."""
     if item.owner == SHARED:
         return True
-    kind, name = split_owner(item.owner)
-    user = name if kind == "user" else ""
-    run = state.runs.get(name) if kind == "run" else None
-    experiment = state.experiments.open.get(name) if kind == "experiment" else None  # type: ignore[call-overload]
-    user = run.user if run is not None else experiment.user if experiment is not None else user
+    user = find_owner(state, item.owner)
     return bool(user) and booking.is_for(user, state.shares.group_of.get(user, ""))
 
 
@@ -453,7 +438,7 @@ def withdraw_booking_questions(
 ) -> Iterator[Event]:
     """The questions about a booking are withdrawn when it changes or ends."""
     for question in state.interventions.list_about(_make_subject(event.booking)):
-        yield InterventionResolved(question.id, "withdrawn", "labos", "the booking is over, or another one")
+        yield question.withdraw("the booking is over, or another one")
 
 
 def withdraw_cleared_booking_question(state: LabState, event: Event) -> Iterator[Event]:
@@ -474,4 +459,4 @@ def withdraw_cleared_booking_question(state: LabState, event: Event) -> Iterator
             standing = {item.id for module in modules for item in _list_standing(state, module)}
             still = any(name in standing for name in topic.labware)
         if not still:
-            yield InterventionResolved(question.id, "withdrawn", "labos", "the place is clear")
+            yield question.withdraw("the place is clear")

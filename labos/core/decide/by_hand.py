@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from labos.core.effects import list_carried, list_moved
 from labos.core.ids import LabwareId
-from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.interventions import Intervention
 from labos.core.labware import LabwareObserved, LabwareRemoved
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -20,7 +20,7 @@ def withdraw_answered(state: LabState, events: Sequence[Event], by: str) -> list
     by them, or had left the bench before."""
     settled = {labware for event in events if (labware := _find_settled(state, event))}
     return [
-        InterventionResolved(question.id, "withdrawn", "labos", f"removed, or moved elsewhere, by {by}")
+        question.withdraw(f"removed, or moved elsewhere, by {by}")
         for question in state.interventions.open.values()
         if (names := _find_asked_for(question)) & settled
         and all(n in settled or n not in state.bench.labware for n in names)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from labos.core.calibrations import MOST_CALIBRATIONS
 from labos.core.days import is_day
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection
+from labos.core.decide.lookups import decides_about, expect_module
 from labos.core.ids import ModuleName, local
-from labos.core.modules import ModuleCalibrated
+from labos.core.modules import Module, ModuleCalibrated
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.words import Words
@@ -25,11 +26,8 @@ class CalibrateModule(Command, frozen=True):
     why: Words = ""
 
 
-@decides(CalibrateModule)
-def calibrate_module(state: LabState, command: CalibrateModule) -> Decision:
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return Rejection("no_module", f"There is no module {local(command.module)}.")
+@decides_about(CalibrateModule, expect_module)
+def calibrate_module(state: LabState, command: CalibrateModule, module: Module) -> Decision:
     if command.until and not is_day(command.until):
         return Rejection("bad_date", f"{command.until!r} is not a date.", "Write it like 2027-05-31.")
     known = module.calibrations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any
 
@@ -28,8 +28,9 @@ from labos.core.campaigns import (
     is_over,
 )
 from labos.core.conditions import find_reads
-from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.decide.cancelling import CancelRun, cancel_run
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, list_possible
+from labos.core.decide.cancelling import cancel_all
+from labos.core.decide.lookups import decides_about
 from labos.core.decide.runs import NOBODYS, QUOTA, SubmitRun, submit_run
 from labos.core.ids import CampaignId, RunId
 from labos.core.model import MAIN, Plan
@@ -78,7 +79,7 @@ class SubmitCampaign(Command, frozen=True):
     due: str = ""
 
 
-class SubmitRow(Command, frozen=True):
+class SubmitRow(InnerCommand, frozen=True):
     """The next row of a campaign becomes a run with the due date ``due_at`` (UTC ns)."""
 
     campaign: CampaignId
@@ -90,7 +91,7 @@ class SubmitRow(Command, frozen=True):
     due_at: int = 0
 
 
-class RefuseRow(Command, frozen=True):
+class RefuseRow(InnerCommand, frozen=True):
     """The next row of a campaign cannot become a run; ``why`` is the reason."""
 
     campaign: CampaignId
@@ -98,7 +99,7 @@ class RefuseRow(Command, frozen=True):
     why: str
 
 
-class SubmitRows(Command, frozen=True):
+class SubmitRows(InnerCommand, frozen=True):
     """The next rows of a campaign become runs or are refused, one after the other, as long as there is
     room."""
 
@@ -139,6 +140,24 @@ class ArchiveCampaign(Command, frozen=True):
     undo: bool = False
 
 
+def _expect_next(state: LabState, command: SubmitRow | RefuseRow) -> Campaign | Rejection:
+    """The campaign, if this row is its next one and may be submitted now."""
+    name, row = command.campaign, command.row
+    campaign = state.campaigns.open.get(name)
+    if campaign is None or campaign.status != CampaignStatus.OPEN or explain_stop(campaign):
+        return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
+    if row != campaign.next_row or not campaign.left:
+        return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
+    if not campaign.takes_rows:
+        return Rejection(NO_ROOM, f"{name} already has enough waiting runs.")
+    return campaign
+
+
+def _expect_alive(state: LabState, command: Any) -> Campaign | Rejection:
+    found = state.campaigns.open.get(command.campaign)
+    return found or Rejection("no_campaign", f"There is no campaign {command.campaign} that has not ended.")
+
+
 @decides(SubmitCampaign)
 def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     if command.request and command.request in state.campaigns.requests:
@@ -151,11 +170,8 @@ def submit_campaign(state: LabState, command: SubmitCampaign) -> Decision:
     return [make_from(CampaignSubmitted, command, campaign=name)]
 
 
-@decides(SubmitRow)
-def submit_row(state: LabState, command: SubmitRow) -> Decision:
-    campaign = _expect_next(state, command.campaign, command.row)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(SubmitRow, _expect_next)
+def submit_row(state: LabState, command: SubmitRow, campaign: Campaign) -> Decision:
     needed = (explain_lacking_role(state, campaign.user, plan) for plan in (command.plan, *command.others))
     lacks = next(filter(None, needed), "")
     if lacks:
@@ -186,19 +202,13 @@ def submit_row(state: LabState, command: SubmitRow) -> Decision:
     ]
 
 
-@decides(RefuseRow)
-def refuse_row(state: LabState, command: RefuseRow) -> Decision:
-    campaign = _expect_next(state, command.campaign, command.row)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(RefuseRow, _expect_next)
+def refuse_row(state: LabState, command: RefuseRow, campaign: Campaign) -> Decision:
     return _record_refusal(campaign, command.row, command.why)
 
 
-@decides(PauseCampaign)
-def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
-    campaign = _expect_alive(state, command.campaign)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(PauseCampaign, _expect_alive)
+def pause_campaign(state: LabState, command: PauseCampaign, campaign: Campaign) -> Decision:
     if campaign.status == CampaignStatus.PAUSED:
         return record_repeat(campaign.id, "pause", command.why)
     if campaign.status != CampaignStatus.OPEN:
@@ -210,11 +220,8 @@ def pause_campaign(state: LabState, command: PauseCampaign) -> Decision:
     ]
 
 
-@decides(ResumeCampaign)
-def resume_campaign(state: LabState, command: ResumeCampaign) -> Decision:
-    campaign = _expect_alive(state, command.campaign)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(ResumeCampaign, _expect_alive)
+def resume_campaign(state: LabState, command: ResumeCampaign, campaign: Campaign) -> Decision:
     if campaign.status == CampaignStatus.OPEN:
         return []
     if campaign.status != CampaignStatus.PAUSED:
@@ -223,11 +230,8 @@ def resume_campaign(state: LabState, command: ResumeCampaign) -> Decision:
     return [CampaignResumed(campaign.id), *map(RunResumed, waiting)]
 
 
-@decides(AmendCampaign)
-def amend_campaign(state: LabState, command: AmendCampaign) -> Decision:
-    campaign = _expect_alive(state, command.campaign)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(AmendCampaign, _expect_alive)
+def amend_campaign(state: LabState, command: AmendCampaign, campaign: Campaign) -> Decision:
     if campaign.is_ended:
         return _refuse_rows(campaign)
     unfit = check_terms(campaign, command.terms)
@@ -252,16 +256,14 @@ def check_terms(campaign: Campaign, terms: Terms) -> Rejection | None:
     )
 
 
-@decides(CancelCampaign)
-def cancel_campaign(state: LabState, command: CancelCampaign) -> Decision:
-    campaign = _expect_alive(state, command.campaign)
-    if isinstance(campaign, Rejection):
-        return campaign
+@decides_about(CancelCampaign, _expect_alive)
+def cancel_campaign(state: LabState, command: CancelCampaign, campaign: Campaign) -> Decision:
     if campaign.status == CampaignStatus.CANCELLED:
         again = record_repeat(campaign.id, "cancel", command.why)
         runs = campaign.runs if command.stay else ()
-        return chain(again, _cancel_runs(state, runs, command.why, stay=True))
-    return _cancel(state, campaign, command)
+        return chain(again, cancel_all(state, runs, command.why, stay=True))
+    ended = CampaignCancelled(campaign.id, command.why)
+    return chain([ended], cancel_all(state, campaign.runs, command.why, stay=command.stay))
 
 
 @decides(ArchiveCampaign)
@@ -279,11 +281,6 @@ def archive_campaign(state: LabState, command: ArchiveCampaign) -> Decision:
     if known.archived is not command.undo:
         return []
     return [CampaignUnarchived(name) if command.undo else CampaignArchived(name)]
-
-
-def _cancel(state: LabState, campaign: Campaign, command: CancelCampaign) -> Iterator[Event]:
-    yield CampaignCancelled(campaign.id, command.why)
-    yield from _cancel_runs(state, campaign.runs, command.why, stay=command.stay)
 
 
 def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
@@ -330,25 +327,8 @@ def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:
     return {step.key: index for index, step in enumerate(plan.steps) if step.key in wanted}
 
 
-def _expect_next(state: LabState, name: CampaignId, row: int) -> Campaign | Rejection:
-    """The campaign, if this row is its next one and may be submitted now."""
-    campaign = state.campaigns.open.get(name)
-    if campaign is None or campaign.status != CampaignStatus.OPEN or explain_stop(campaign):
-        return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
-    if row != campaign.next_row or not campaign.left:
-        return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
-    if not campaign.takes_rows:
-        return Rejection(NO_ROOM, f"{name} already has enough waiting runs.")
-    return campaign
-
-
 def _record_refusal(campaign: Campaign, row: int, why: str) -> list[Event]:
     return [CampaignRowRefused(campaign.id, row, cut(why, LONGEST_REASON))]
-
-
-def _expect_alive(state: LabState, name: CampaignId) -> Campaign | Rejection:
-    found = state.campaigns.open.get(name)
-    return found or Rejection("no_campaign", f"There is no campaign {name} that has not ended.")
 
 
 def _refuse_rows(campaign: Campaign) -> Rejection:
@@ -369,14 +349,6 @@ def _find_queued(campaign: Campaign) -> list[RunId]:
     return [run for run, started in campaign.runs.items() if not started]
 
 
-def _cancel_runs(state: LabState, runs: Iterable[RunId], why: str, *, stay: bool = False) -> Iterator[Event]:
-    """Cancel runs, one after the other, as far as possible."""
-    for run in list(runs):
-        answer = cancel_run(state, CancelRun(run, stay, why))
-        if not isinstance(answer, Rejection):
-            yield from answer
-
-
 # -- reactions -----------------------------------------------------------------------------------
 
 
@@ -386,7 +358,7 @@ def conclude_campaigns(state: LabState, event: Event) -> Iterator[Event]:
         campaign = state.campaigns.open[name]
         if why := explain_stop(campaign):
             yield CampaignStopped(name, why, campaign.met_by)
-            yield from _cancel_runs(state, _find_queued(campaign), f"{name} was stopped")
+            yield from cancel_all(state, _find_queued(campaign), f"{name} was stopped")
         elif is_over(campaign):
             yield make_from(CampaignCompleted, campaign, campaign=name)
 
@@ -395,4 +367,4 @@ def pause_campaigns(state: LabState, event: UserDisabled) -> Iterator[Event]:
     """The campaigns of a disabled user are paused until somebody resumes them."""
     for name in [known.id for known in state.campaigns.open.values() if known.user == event.user]:
         answer = pause_campaign(state, PauseCampaign(name, f"its user {event.user} was disabled"))
-        yield from () if isinstance(answer, Rejection) else answer
+        yield from list_possible(answer)

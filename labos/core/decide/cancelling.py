@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, list_possible
 from labos.core.decide.endings import has_open_action, record_end
-from labos.core.decide.runs import expect_alive
+from labos.core.decide.lookups import decides_about, expect_run, find_active_run
 from labos.core.ids import RunId
 from labos.core.leaving import find_bench_of_run, find_way_out, has_lost_labware, list_steps_out, will_leave
 from labos.core.registry import Event
@@ -26,7 +26,7 @@ class CancelRun(Command, frozen=True):
     why: Words = ""
 
 
-class TakeWayOut(Command, frozen=True):
+class TakeWayOut(InnerCommand, frozen=True):
     """Nothing of a cancelled run is in flight any more. Planning sends this command after everything that
     follows from the last result. Here it is computed which ``on_cancel`` steps the run needs (decision
     69)."""
@@ -34,17 +34,14 @@ class TakeWayOut(Command, frozen=True):
     run: RunId
 
 
-class GiveUpWayOut(Command, frozen=True):
+class GiveUpWayOut(InnerCommand, frozen=True):
     """A run cannot complete its ``on_cancel`` steps, whatever the other runs do."""
 
     run: RunId
 
 
-@decides(CancelRun)
-def cancel_run(state: LabState, command: CancelRun) -> Decision:
-    run = expect_alive(state, command.run)
-    if isinstance(run, Rejection):
-        return run
+@decides_about(CancelRun, expect_run)
+def cancel_run(state: LabState, command: CancelRun, run: RunState) -> Decision:
     if run.is_ending and (run.stay or not command.stay):
         return record_repeat(command.run, "cancel", command.why)
     leaves = (
@@ -56,18 +53,16 @@ def cancel_run(state: LabState, command: CancelRun) -> Decision:
 
 
 def cancel_all(
-    state: LabState, runs: Iterable[RunState], stay: bool = False, why: str = ""
+    state: LabState, runs: Iterable[RunId], why: str = "", *, stay: bool = False
 ) -> Iterator[Event]:
-    """Cancel several runs."""
-    for run in runs:
-        found = cancel_run(state, CancelRun(run.id, stay, why))
-        yield from () if isinstance(found, Rejection) else found
+    """Cancel runs, one after the other, as far as possible."""
+    for run in list(runs):
+        yield from list_possible(cancel_run(state, CancelRun(run, stay, why)))
 
 
-@decides(TakeWayOut)
-def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
-    run = state.runs.active.get(command.run)
-    if run is None or has_open_action(run) or not will_leave(state.runs.plan_of(run), run):
+@decides_about(TakeWayOut, find_active_run)
+def take_way_out(state: LabState, command: TakeWayOut, run: RunState) -> Decision:
+    if has_open_action(run) or not will_leave(state.runs.plan_of(run), run):
         return []
     steps = (
         ()
@@ -81,9 +76,8 @@ def take_way_out(state: LabState, command: TakeWayOut) -> Decision:
     )
 
 
-@decides(GiveUpWayOut)
-def give_up_way_out(state: LabState, command: GiveUpWayOut) -> Decision:
-    run = state.runs.active.get(command.run)
-    if run is None or run.status != RunStatus.LEAVING or has_open_action(run):
+@decides_about(GiveUpWayOut, find_active_run)
+def give_up_way_out(state: LabState, command: GiveUpWayOut, run: RunState) -> Decision:
+    if run.status != RunStatus.LEAVING or has_open_action(run):
         return []
     return record_end(state, run, RunCancelled(run.id), "was cancelled, and its way out is blocked")

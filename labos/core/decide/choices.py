@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Decision, InnerCommand, Rejection, decides
 from labos.core.ids import RunId
 from labos.core.model import Plan
 from labos.core.runs import PENDING, SKIPPED, RunBound, RunState, RunStatus, find_chosen_modules
@@ -15,7 +15,7 @@ MOST_PLANS = 16
 """The most plans from which a run may choose."""
 
 
-class BindAnew(Command, frozen=True):
+class BindAnew(InnerCommand, frozen=True):
     """An admitted run continues with another of its plans, because a module of its present plan is down.
     ``why`` is for people."""
 

@@ -9,7 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
-from labos.core.decide._base import Command, Decider, Decision, Rejection, check_recordable, decides
+from labos.core.decide._base import (
+    Command,
+    Decider,
+    Decision,
+    Rejection,
+    check_recordable,
+    decides,
+    list_possible,
+)
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
 from labos.core.decide.runs import SubmitRun, submit_run
@@ -122,14 +130,10 @@ def report_round(state: LabState, command: ReportRound) -> Decision:
 
 def _report_round(state: LabState, command: ReportRound) -> Iterator[Event]:
     for contents in command.stations:
-        yield from _list_possible(say_contents(state, contents))
+        yield from list_possible(say_contents(state, contents))
     for name in command.as_recorded:
-        yield from _list_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
+        yield from list_possible(confirm_stations(state, ConfirmStations((name,), command.by)))
     asked = state.interventions.open_about(ShorterLog)
     if command.finish and asked and not list_to_say(state):
         answer = ResolveIntervention(asked[0].id, "checked", command.by, "the whole bench was checked")
-        yield from _list_possible(resolve_intervention(state, answer))
-
-
-def _list_possible(decision: Decision) -> Iterable[Event]:
-    return () if isinstance(decision, Rejection) else decision
+        yield from list_possible(resolve_intervention(state, answer))

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from itertools import chain
+from typing import Any
 
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection
 from labos.core.decide.cancelling import cancel_all
+from labos.core.decide.lookups import decides_about, expect_experiment
 from labos.core.experiments import ExperimentCancelled
 from labos.core.ids import ExperimentId, ModuleName
 from labos.core.lab import WHOLE_LAB, StartsPaused, StartsResumed
-from labos.core.open_experiments import ExperimentStatus
+from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.repeated import record_repeat
 from labos.core.runs import SETTLED, RunState
 from labos.core.state import LabState
@@ -50,66 +52,51 @@ class CancelExperiment(Command, frozen=True):
     why: Words = ""
 
 
-@decides(PauseStarts)
-def pause_starts(state: LabState, command: PauseStarts) -> Decision:
-    unknown = _refuse_unknown(state, command.target)
-    if unknown is not None:
-        return unknown
-    if command.target in state.lab.paused:
-        return record_repeat(command.target, "pause", command.why)
-    return [StartsPaused(command.target, command.by, command.why)]
-
-
-@decides(ResumeStarts)
-def resume_starts(state: LabState, command: ResumeStarts) -> Decision:
-    unknown = _refuse_unknown(state, command.target)
-    if unknown is not None:
-        return unknown
-    return [StartsResumed(command.target, command.by)] if command.target in state.lab.paused else []
-
-
-@decides(CancelRuns)
-def cancel_runs(state: LabState, command: CancelRuns) -> Decision:
-    unknown = _refuse_unknown(state, command.target)
-    if unknown is not None:
-        return unknown
-    runs = [*state.runs.active.values(), *state.runs.queued.values()]
-    needing = [run for run in runs if _is_meant(state, run, command.target)]
-    return cancel_all(state, needing, command.stay, command.why)
-
-
-@decides(CancelExperiment)
-def cancel_experiment(state: LabState, command: CancelExperiment) -> Decision:
-    experiment = state.experiments.open.get(command.experiment)
-    if experiment is None:
-        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
-    runs = [run for run in map(state.runs.get, experiment.runs) if run is not None]
-    if experiment.status != ExperimentStatus.OPEN:
-        again = record_repeat(command.experiment, "cancel", command.why)
-        return chain(again, cancel_all(state, runs, command.stay, command.why) if command.stay else ())
-    reason = f": {command.why}" if command.why else ""
-    ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{reason}")
-    return chain([ended], cancel_all(state, runs, command.stay, command.why))
-
-
-def _is_known_target(state: LabState, target: str) -> bool:
-    """Whether a target names a part of the lab whose starts can be paused."""
-    return (
+def _expect_target(state: LabState, command: Any) -> str | Rejection:
+    """A part of the lab whose starts can be paused."""
+    target: str = command.target
+    if (
         target == WHOLE_LAB
         or target in state.lab.workcells
         or ModuleName(target) in state.modules.by_name
         or ExperimentId(target) in state.experiments.open
-    )
-
-
-def _refuse_unknown(state: LabState, target: str) -> Rejection | None:
-    if _is_known_target(state, target):
-        return None
+    ):
+        return target
     return Rejection(
         "no_target",
         f"There is no experiment, module or workcell {target!r}.",
         "List them: labos experiments, labos nodes",
     )
+
+
+@decides_about(PauseStarts, _expect_target)
+def pause_starts(state: LabState, command: PauseStarts, target: str) -> Decision:
+    if command.target in state.lab.paused:
+        return record_repeat(command.target, "pause", command.why)
+    return [StartsPaused(command.target, command.by, command.why)]
+
+
+@decides_about(ResumeStarts, _expect_target)
+def resume_starts(state: LabState, command: ResumeStarts, target: str) -> Decision:
+    return [StartsResumed(command.target, command.by)] if command.target in state.lab.paused else []
+
+
+@decides_about(CancelRuns, _expect_target)
+def cancel_runs(state: LabState, command: CancelRuns, target: str) -> Decision:
+    runs = [*state.runs.active.values(), *state.runs.queued.values()]
+    needing = [run.id for run in runs if _is_meant(state, run, command.target)]
+    return cancel_all(state, needing, command.why, stay=command.stay)
+
+
+@decides_about(CancelExperiment, expect_experiment)
+def cancel_experiment(state: LabState, command: CancelExperiment, experiment: Experiment) -> Decision:
+    if experiment.status != ExperimentStatus.OPEN:
+        again = record_repeat(command.experiment, "cancel", command.why)
+        runs = experiment.runs if command.stay else ()
+        return chain(again, cancel_all(state, runs, command.why, stay=True))
+    reason = f": {command.why}" if command.why else ""
+    ended = ExperimentCancelled(command.experiment, f"cancelled by {command.by}{reason}")
+    return chain([ended], cancel_all(state, experiment.runs, command.why, stay=command.stay))
 
 
 def _is_meant(state: LabState, run: RunState, target: str) -> bool:

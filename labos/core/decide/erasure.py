@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterator
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide.lookups import decides_about
 from labos.core.decide.policy import find_service
-from labos.core.erasure import REASONS, ErasureAsked, ErasureRefused, WordsErased
+from labos.core.erasure import REASONS, Erasure, ErasureAsked, ErasureRefused, WordsErased
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.users import find_person
@@ -42,6 +43,12 @@ class RefuseErasure(Command, frozen=True):
     by: str
 
 
+def _expect_erasure(state: LabState, command: EraseWords | RefuseErasure) -> Erasure | Rejection:
+    found = state.erasures.open.get(command.erasure)
+    missing = f"No erasure {command.erasure!r} waits for a second person."
+    return found or Rejection("no_erasure", missing, "List: labos erase")
+
+
 @decides(EraseWords)
 def erase_words(state: LabState, command: EraseWords) -> Decision:
     wrong = _check_erasure(state, command)
@@ -52,9 +59,9 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
     if not command.erasure:
         name, terms = state.erasures.next_id, (command.because, command.by)
         return [ErasureAsked(name, *terms, command.records, command.user)]
-    asked = state.erasures.open.get(command.erasure)
-    if asked is None:
-        return _refuse_unknown(command.erasure)
+    asked = _expect_erasure(state, command)
+    if isinstance(asked, Rejection):
+        return asked
     if find_person(asked.by) == find_person(command.by):
         return Rejection(
             "same_person",
@@ -82,10 +89,8 @@ def _erase(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
         )
 
 
-@decides(RefuseErasure)
-def refuse_erasure(state: LabState, command: RefuseErasure) -> Decision:
-    if command.erasure not in state.erasures.open:
-        return _refuse_unknown(command.erasure)
+@decides_about(RefuseErasure, _expect_erasure)
+def refuse_erasure(state: LabState, command: RefuseErasure, asked: Erasure) -> Decision:
     return [ErasureRefused(command.erasure, command.by)]
 
 
@@ -117,7 +122,3 @@ def _check_erasure(state: LabState, command: EraseWords) -> Rejection | None:
             "no_person", f"{service} is a program, and programs may not erase words.", "Ask an admin."
         )
     return None
-
-
-def _refuse_unknown(name: str) -> Rejection:
-    return Rejection("no_erasure", f"No erasure {name!r} waits for a second person.", "List: labos erase")

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from labos.core.closing import plan_closing
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, Report, decides
 from labos.core.decide.endings import record_end
+from labos.core.decide.lookups import decides_about, expect_experiment
 from labos.core.decide.runs import find_plan_flaw, plan_digest, record_plan
 from labos.core.decide.windows import list_outer_windows
 from labos.core.experiments import (
@@ -25,7 +26,6 @@ from labos.core.ids import (
     local,
     user_owner,
 )
-from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest
@@ -77,7 +77,7 @@ class EndExperiment(Command, frozen=True):
     why: Words = "ended"
 
 
-class AskAboutClosing(Command, frozen=True):
+class AskAboutClosing(InnerCommand, frozen=True):
     """A closing workflow has not begun within its allowed waiting time."""
 
     run: RunId
@@ -157,11 +157,8 @@ def resume_experiment(state: LabState, command: ResumeExperiment) -> Decision:
     return [ExperimentResumed(command.experiment)]
 
 
-@decides(NoteExperiment)
-def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
-    experiment = state.experiments.open.get(command.experiment)
-    if experiment is None:
-        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
+@decides_about(NoteExperiment, expect_experiment)
+def note_experiment(state: LabState, command: NoteExperiment, experiment: Experiment) -> Decision:
     if command.kind not in NOTE_KINDS:
         return Rejection(
             "no_kind", f"{command.kind!r} is not a kind of note.", f"Known kinds: {', '.join(NOTE_KINDS)}."
@@ -180,11 +177,8 @@ def note_experiment(state: LabState, command: NoteExperiment) -> Decision:
     )
 
 
-@decides(EndExperiment)
-def end_experiment(state: LabState, command: EndExperiment) -> Decision:
-    experiment = state.experiments.open.get(command.experiment)
-    if experiment is None:
-        return Rejection("no_experiment", f"There is no experiment {command.experiment} that has not ended.")
+@decides_about(EndExperiment, expect_experiment)
+def end_experiment(state: LabState, command: EndExperiment, experiment: Experiment) -> Decision:
     if experiment.status == ExperimentStatus.CLOSING:
         return []
     if experiment.runs:
@@ -297,4 +291,4 @@ def withdraw_experiment_question(
     why = f"the application {'was started again' if came_back else 'came back and ended'}"
     for question in state.interventions.list_about(event.experiment):
         if isinstance(question.topic, LostExperiment) or not came_back:
-            yield InterventionResolved(question.id, "withdrawn", "labos", why)
+            yield question.withdraw(why)

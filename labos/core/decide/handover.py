@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from labos.core.bench import Labware
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection
+from labos.core.decide.lookups import decides_about, expect_labware
 from labos.core.decide.users import refuse_unknown_user
-from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, split_owner
+from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, split_key
 from labos.core.labware import LabwareHandedOver
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
@@ -24,11 +25,8 @@ class HandOver(Command, frozen=True):
     note: Words = ""
 
 
-@decides(HandOver)
-def hand_over(state: LabState, command: HandOver) -> Decision:
-    labware = state.bench.labware.get(command.labware)
-    if labware is None:
-        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+@decides_about(HandOver, expect_labware)
+def hand_over(state: LabState, command: HandOver, labware: Labware) -> Decision:
     if labware.owner == command.to:
         return []
     wrong = (
@@ -42,7 +40,7 @@ def hand_over(state: LabState, command: HandOver) -> Decision:
 
 
 def _refuse_heir(state: LabState, to: Owner) -> Rejection | None:
-    kind, name = split_owner(to)
+    kind, name = split_key(to)
     if kind == "user" and name and not state.users.is_open and state.users.get(name) is None:
         return refuse_unknown_user(name)
     if to == SHARED or (kind == "user" and name):
@@ -64,7 +62,7 @@ def _refuse_in_use(state: LabState, labware: Labware) -> Rejection | None:
         return Rejection(
             "in_use", f"{labware.id} is being carried or worked on.", "Wait until that has ended."
         )
-    kind, name = split_owner(labware.owner)
+    kind, name = split_key(labware.owner)
     if kind == "run" and state.runs.get(name) is not None:
         return Rejection(
             "in_use",
@@ -82,7 +80,7 @@ def _refuse_in_use(state: LabState, labware: Labware) -> Rejection | None:
 
 
 def _refuse_not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
-    kind, name = split_owner(labware.owner)
+    kind, name = split_key(labware.owner)
     experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
     owner = experiment.user if experiment is not None else name
     if labware.owner in (NOBODY, SHARED) or owner == find_person(command.by):

@@ -6,11 +6,19 @@ from collections.abc import Iterator, Sequence
 from itertools import chain
 
 from labos.core.bench import StationState, add_arrival, count_taking, split_item
-from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides, refuse_hotel
+from labos.core.decide._base import (
+    Command,
+    Decision,
+    InnerCommand,
+    Rejection,
+    check_recordable,
+    decides,
+    refuse_hotel,
+)
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
-from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, local, workcell_of
-from labos.core.interventions import InterventionResolved
+from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import StationSpec, Workcell
@@ -24,13 +32,13 @@ from labos.core.topics import DiscoveredAction
 STATIONS_PER_EVENT = 40
 
 
-class CreateLab(Command, frozen=True):
+class CreateLab(InnerCommand, frozen=True):
     lab: LabId
     name: str
     pace: float = 1.0
 
 
-class StartKernel(Command, frozen=True):
+class StartKernel(InnerCommand, frozen=True):
     epoch: int
     version: str
 
@@ -84,7 +92,7 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
             yield ModulePutBack(name)
     for question in asked:
         why = "the whole bench is being compared with the log"
-        yield InterventionResolved(question.id, "withdrawn", "labos", why)
+        yield question.withdraw(why)
 
 
 @decides(ApplyWorkcell)
@@ -128,7 +136,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
         events.append(StationsApplied(cell.name, (), tuple(gone[first : first + STATIONS_PER_EVENT])))
     for spec in cell.modules:
         for resource, capacity in spec.levels.items():
-            if f"{spec.name}:{resource}" not in state.resources.levels:
+            if level_key(spec.name, resource) not in state.resources.levels:
                 events.append(LevelSet(spec.name, resource, capacity, capacity))
     return events
 
@@ -228,11 +236,8 @@ def _name_users(runs: list[RunId]) -> str:
     return f" by {', '.join(runs)}" if runs else ""
 
 
-@decides(DeclareStation)
-def declare_station(state: LabState, command: DeclareStation) -> Decision:
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
+@decides_about(DeclareStation, expect_station)
+def declare_station(state: LabState, command: DeclareStation, station: StationState) -> Decision:
     shelved = refuse_hotel(state, command.station)
     if shelved:
         return shelved

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import msgspec
 
+from labos.core.bench import Labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.barcodes import LONGEST_BARCODE, find_barcode
+from labos.core.decide.lookups import decides_about, expect_labware
 from labos.core.ids import LabwareId
 from labos.core.labware import BarcodeRead, Sample, SamplesRegistered
 from labos.core.registry import Event
@@ -34,9 +36,9 @@ class RegisterSamples(Command, frozen=True):
 def register_samples(state: LabState, command: RegisterSamples) -> Decision:
     events: list[Event] = []
     for plate in command.plates:
-        labware = state.bench.labware.get(plate.labware)
-        if labware is None:
-            return Rejection("no_labware", f"No labware {plate.labware} stands on the bench.")
+        labware = expect_labware(state, plate)
+        if isinstance(labware, Rejection):
+            return labware
         if labware.samples == command.sheet:
             continue
         if labware.samples and not command.replace:
@@ -60,11 +62,8 @@ class NameBarcode(Command, frozen=True):
     replace: bool = False
 
 
-@decides(NameBarcode)
-def name_barcode(state: LabState, command: NameBarcode) -> Decision:
-    labware = state.bench.labware.get(command.labware)
-    if labware is None:
-        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+@decides_about(NameBarcode, expect_labware)
+def name_barcode(state: LabState, command: NameBarcode, labware: Labware) -> Decision:
     code = find_barcode(command.barcode)
     if not code:
         return Rejection(

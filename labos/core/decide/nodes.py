@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from typing import Any
 
-from labos.core.decide._base import Command, Decision, Rejection, Report, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, Report, decides
+from labos.core.decide.lookups import decides_about, find_present_module
 from labos.core.decide.shorter import FoundAction, record_journal
 from labos.core.decide.steps import doubt
 from labos.core.failures import list_failures_since
 from labos.core.ids import ModuleName, local
 from labos.core.modules import (
     EmergencyStopped,
+    Module,
     ModulePutBack,
     ModuleStatus,
     ModuleTakenOut,
@@ -79,7 +82,7 @@ class TakeOut(Command, frozen=True):
     now: int = 0
 
 
-class Quarantine(Command, frozen=True):
+class Quarantine(InnerCommand, frozen=True):
     """Take a module out of service that has failed ``after`` times within ``within_s`` lab seconds."""
 
     module: ModuleName
@@ -94,7 +97,7 @@ class PutBack(Command, frozen=True):
     module: ModuleName
 
 
-class EndOutage(Command, frozen=True):
+class EndOutage(InnerCommand, frozen=True):
     """The end of a module's time out of service has come."""
 
     module: ModuleName
@@ -118,19 +121,17 @@ class RecordStops(Report, frozen=True):
     silent: dict[ModuleName, str] = {}
 
 
-def _refuse_unknown(module: ModuleName) -> Rejection:
-    return Rejection(
+def _expect_known(state: LabState, command: Any) -> Module | Rejection:
+    found = state.modules.by_name.get(command.module)
+    return found or Rejection(
         "no_module",
-        f"No workcell of this lab has a module {local(module)}.",
+        f"No workcell of this lab has a module {local(command.module)}.",
         "Add it to the workcell file and apply it, or start the node under another --name.",
     )
 
 
-@decides(JoinNode)
-def join_node(state: LabState, command: JoinNode) -> Decision:
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return _refuse_unknown(command.module)
+@decides_about(JoinNode, _expect_known)
+def join_node(state: LabState, command: JoinNode, module: Module) -> Decision:
     if module.status != ModuleStatus.GONE and module.instance == command.instance:
         return []
     if module.status != ModuleStatus.GONE:
@@ -152,20 +153,15 @@ def join_node(state: LabState, command: JoinNode) -> Decision:
     ]
 
 
-@decides(LoseNode)
-def lose_node(state: LabState, command: LoseNode) -> Decision:
-    module = state.modules.by_name.get(command.module)
-    if module is None or module.status == ModuleStatus.GONE or module.instance != command.instance:
-        return []
-    return [NodeLeft(command.module, command.why, command.stopped)]
+@decides_about(LoseNode, find_present_module)
+def lose_node(state: LabState, command: LoseNode, module: Module) -> Decision:
+    known = module.instance == command.instance
+    return [NodeLeft(command.module, command.why, command.stopped)] if known else []
 
 
-@decides(ReportState)
-def report_state(state: LabState, command: ReportState) -> Decision:
+@decides_about(ReportState, find_present_module)
+def report_state(state: LabState, command: ReportState, module: Module) -> Decision:
     """Only transitions that no action explains are recorded."""
-    module = state.modules.by_name.get(command.module)
-    if module is None or module.status == ModuleStatus.GONE:
-        return []
     status = command.status
     if status == "BUSY" and module.in_flight:
         status = (
@@ -176,17 +172,13 @@ def report_state(state: LabState, command: ReportState) -> Decision:
     return [NodeStateChanged(command.module, status, command.error)]
 
 
-@decides(HearJournal)
-def check_journal(state: LabState, command: HearJournal) -> Decision:
-    if command.module not in state.modules.by_name:
-        return _refuse_unknown(command.module)
+@decides_about(HearJournal, _expect_known)
+def check_journal(state: LabState, command: HearJournal, module: Module) -> Decision:
     return record_journal(state, command.module, command.found, command.beyond)
 
 
-@decides(TakeOut)
-def take_out(state: LabState, command: TakeOut) -> Decision:
-    if command.module not in state.modules.by_name:
-        return _refuse_unknown(command.module)
+@decides_about(TakeOut, _expect_known)
+def take_out(state: LabState, command: TakeOut, module: Module) -> Decision:
     if command.until and command.until <= command.now:
         return Rejection("past", "The end of the time out of service is in the past.")
     return _take_out(state, command)
@@ -212,11 +204,8 @@ def quarantine(state: LabState, command: Quarantine) -> Decision:
     return [ModuleTakenOut(command.module, why, failures=len(failed))]
 
 
-@decides(PutBack)
-def put_back(state: LabState, command: PutBack) -> Decision:
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return _refuse_unknown(command.module)
+@decides_about(PutBack, _expect_known)
+def put_back(state: LabState, command: PutBack, module: Module) -> Decision:
     if not module.out_of_service:
         return []
     return [ModulePutBack(command.module)]

@@ -8,13 +8,13 @@ from typing import assert_never
 
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, StationState
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.decide._base import Command, Decision, Rejection, refuse_hotel
+from labos.core.decide.lookups import decides_about, expect_labware, expect_station
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import (
     Intervention,
-    InterventionResolved,
 )
 from labos.core.labware import (
     LabwareObserved,
@@ -54,11 +54,8 @@ class ObserveStation(Command, frozen=True):
     kind: str = ""
 
 
-@decides(ObserveStation)
-def observe_station(state: LabState, command: ObserveStation) -> Decision:
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
+@decides_about(ObserveStation, expect_station)
+def observe_station(state: LabState, command: ObserveStation, station: StationState) -> Decision:
     wrong = refuse_hotel(state, command.station) or _refuse_sight(state, station, command)
     if wrong:
         return wrong
@@ -83,9 +80,9 @@ def _refuse_sight(state: LabState, station: StationState, command: ObserveStatio
         return Rejection("waste", f"Labware in the waste {name} is off the bench and cannot be observed.")
     if command.count is not None and command.count < 0:
         return Rejection("bad_count", f"{command.count} pieces cannot stand at {name}.")
-    labware = state.bench.labware.get(command.labware)
-    if command.labware and labware is None:
-        return Rejection("no_labware", f"No labware {command.labware} stands on the bench.")
+    labware = expect_labware(state, command) if command.labware else None
+    if isinstance(labware, Rejection):
+        return labware
     for action in state.actions.open.values():
         if action.status == ActionStatus.UNKNOWN:
             continue
@@ -194,9 +191,7 @@ class Sight:
     def _answer(self, question: Intervention, placed: set[LabwareId]) -> Iterator[Event]:
         """The events for a question about labware that was found. ``placed`` is labware that other events of
         this observation place."""
-        withdrawn = InterventionResolved(
-            question.id, "withdrawn", "labos", f"observed by {self._by} at its place"
-        )
+        withdrawn = question.withdraw(f"observed by {self._by} at its place")
         topic = question.topic
         if isinstance(topic, UnknownAction):
             action = self._state.actions.open.get(ActionId(question.subject))
@@ -293,7 +288,7 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
     there = len(motions) == 1 and motions[0].target == place
     if question is None or not there or is_read_later(state, action) or may_still_act(state, action):
         return []
-    withdrawn = InterventionResolved(question.id, "withdrawn", "labos", f"observed by {by} at its place")
+    withdrawn = question.withdraw(f"observed by {by} at its place")
     return chain([withdrawn], settle(state, action, "done", by))
 
 
@@ -302,7 +297,7 @@ def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
     question = _find_question(state, place)
     if question is None or question.labware:
         return []
-    return [InterventionResolved(question.id, "withdrawn", "labos", "observed to be no longer there")]
+    return [question.withdraw("observed to be no longer there")]
 
 
 def _find_question(state: LabState, place: StationName) -> Intervention | None:

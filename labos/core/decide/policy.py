@@ -111,20 +111,19 @@ def _find_cell(state: LabState, command: Command) -> str:
             return state.campaigns.open[command.campaign].workcell
         case StartExperiment():
             return command.closing.workcell if command.closing is not None else ""
+        case _:
+            pass
     return ""
 
 
 # -- approval ------------------------------------------------------------------------------------
 
 
-def list_reasons(
-    state: LabState, asked: Submission, actor: str, parts: dict[str, str] | None = None
-) -> tuple[Why, ...]:
-    """Why a submission of ``actor`` waits for an approval; empty if it does not. ``parts`` are those of a
-    run."""
+def list_reasons(state: LabState, asked: Submission, actor: str, parts: dict[str, str]) -> tuple[Why, ...]:
+    """Why a submission of ``actor`` with these ``parts`` waits for an approval; empty if it does not."""
     found = tuple(_iterate_reasons(state, asked, actor))
-    experiment = parts.get("experiment", "") if parts is not None else ""
-    if parts is not None and take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
+    experiment = parts.get("experiment", "")
+    if take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
         found = tuple(why for why in found if why.code not in COVERED)
     known = state.experiments.open.get(ExperimentId(experiment))
     if known is not None and known.held:

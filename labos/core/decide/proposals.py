@@ -19,7 +19,7 @@ from labos.core.campaigns import (
     CampaignStopped,
     Terms,
 )
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, Rejection, list_possible
 from labos.core.decide.campaigns import (
     CancelCampaign,
     cancel_campaign,
@@ -27,6 +27,7 @@ from labos.core.decide.campaigns import (
 )
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
+from labos.core.decide.lookups import decides_about
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
 from labos.core.ids import CampaignId, ExperimentId, RunId
 from labos.core.interventions import Intervention, InterventionResolved
@@ -64,11 +65,16 @@ class RefuseProposal(Command, frozen=True):
     why: Words = ""
 
 
-@decides(ApproveProposal)
-def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
-    proposal = _open(state, command.subject)
-    if isinstance(proposal, Rejection):
-        return proposal
+def _expect_proposal(state: LabState, command: ApproveProposal | RefuseProposal) -> Proposal | Rejection:
+    found, missing = (
+        state.approvals.open.get(command.subject),
+        f"{command.subject} does not wait for an approval.",
+    )
+    return found or Rejection("no_proposal", missing, "List what waits: labos approvals")
+
+
+@decides_about(ApproveProposal, _expect_proposal)
+def approve_proposal(state: LabState, command: ApproveProposal, proposal: Proposal) -> Decision:
     wrong = _check_as_seen(proposal, command.digest) or _check_changes(state, proposal, command)
     if wrong is not None:
         return wrong
@@ -78,11 +84,8 @@ def approve_proposal(state: LabState, command: ApproveProposal) -> Decision:
     return chain(_resolve_question(state, proposal.subject, "approve", command.by, command.why), events)
 
 
-@decides(RefuseProposal)
-def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
-    proposal = _open(state, command.subject)
-    if isinstance(proposal, Rejection):
-        return proposal
+@decides_about(RefuseProposal, _expect_proposal)
+def refuse_proposal(state: LabState, command: RefuseProposal, proposal: Proposal) -> Decision:
     return chain(
         _resolve_question(state, proposal.subject, "refuse", command.by, command.why),
         refuse(state, proposal, command),
@@ -91,8 +94,8 @@ def refuse_proposal(state: LabState, command: RefuseProposal) -> Decision:
 
 def answer_question(state: LabState, topic: Approval, choice: str, by: str, note: str) -> Decision:
     """Answer a proposal through the question about it."""
-    proposal = _open(state, topic.about)
-    if isinstance(proposal, Rejection):
+    proposal = state.approvals.open.get(topic.about)
+    if proposal is None:
         return []
     if choice != "approve":
         return refuse(state, proposal, RefuseProposal(topic.about, by, note))
@@ -139,7 +142,7 @@ def refuse(state: LabState, proposal: Proposal, command: RefuseProposal) -> Iter
         follows = cancel_experiment(
             state, CancelExperiment(ExperimentId(subject), command.by, False, command.why)
         )
-    yield from [] if isinstance(follows, Rejection) else follows
+    yield from list_possible(follows)
 
 
 def _find_waiting(state: LabState, experiment: str) -> Iterator[Proposal]:
@@ -149,15 +152,6 @@ def _find_waiting(state: LabState, experiment: str) -> Iterator[Proposal]:
         proposal = state.approvals.open.get(run)
         if proposal is not None and proposal.codes == {"experiment"}:
             yield proposal
-
-
-def _open(state: LabState, subject: str) -> Proposal | Rejection:
-    found = state.approvals.open.get(subject)
-    return found or Rejection(
-        "no_proposal",
-        f"{subject} does not wait for an approval.",
-        "List what waits: labos approvals",
-    )
 
 
 def _check_as_seen(proposal: Proposal, seen: str) -> Rejection | None:
@@ -240,9 +234,7 @@ def _resolve_question(
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
     """An operator is asked, and an earlier question about the same subject is withdrawn."""
     for question in _list_questions(state, event.subject):
-        yield InterventionResolved(
-            question.id, "withdrawn", "labos", "it was changed, and the question is asked again"
-        )
+        yield question.withdraw("it was changed, and the question is asked again")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
     why = "; ".join(why.text for why in event.why)
     text = (
@@ -267,4 +259,4 @@ def withdraw_approval_question(
     """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
     for question in _list_questions(state, subject):
-        yield InterventionResolved(question.id, "withdrawn", "labos", "it has ended")
+        yield question.withdraw("it has ended")

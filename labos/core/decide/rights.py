@@ -47,7 +47,7 @@ from labos.core.decide import (
     verification,
     work,
 )
-from labos.core.decide._base import Command, Rejection
+from labos.core.decide._base import DECIDERS, Command, InnerCommand, Rejection
 from labos.core.decide.targets import ANYWHERE, Target
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import rank_role_in
@@ -207,9 +207,10 @@ _INSIDE = Right(None, "LabOS itself")
 _OWN = "its owner; else an operator"
 _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
-_SIGNING = Right(
-    "viewer", "a person, as themselves, with their password", targets.require_anywhere("viewer"), "by"
-)
+_SIGNING = Right("viewer", "a person, as themselves, with their password", targets.TO_SIGN, "by")
+
+_INNER = (actions, choices, doubts, steps, together, verification, work)
+"""These modules have only commands that LabOS itself sends."""
 
 RIGHTS: dict[type[Command], Right] = {
     # runs, experiments and campaigns
@@ -229,7 +230,7 @@ RIGHTS: dict[type[Command], Right] = {
     experiments.ResumeExperiment: Right("submitter", _OWN, targets.find_experiment_target),
     experiments.EndExperiment: Right("submitter", _OWN, targets.find_experiment_target),
     control.CancelExperiment: Right("submitter", _OWN, targets.find_experiment_target, "by"),
-    campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.find_new_campaign_target, "user"),
+    campaigns.SubmitCampaign: Right("submitter", "a submitter", targets.TO_SUBMIT, "user"),
     campaigns.PauseCampaign: Right("submitter", _OWN, targets.find_campaign_target),
     campaigns.ResumeCampaign: Right("submitter", _OWN, targets.find_campaign_target),
     campaigns.AmendCampaign: Right("submitter", _OWN, targets.find_campaign_target),
@@ -254,16 +255,16 @@ RIGHTS: dict[type[Command], Right] = {
     labware.RegisterSamples: Right("submitter", "its owner; else an operator", targets.list_plate_targets),
     labware.NameBarcode: Right("submitter", _OWN, targets.find_label_target, "by"),
     # the bench
-    lab.DeclareStation: Right("operator", _OPERATOR, targets.find_station_target),
+    lab.DeclareStation: Right("operator", _OPERATOR, targets.AT_STATION),
     composites.DeclareStations: Right("operator", _OPERATOR),
-    stock.LoadStation: Right("operator", _OPERATOR, targets.find_station_target),
-    stock.UnloadStation: Right("operator", _OPERATOR, targets.find_station_target, "by"),
-    stock.Replenish: Right("operator", _OPERATOR, targets.find_module_target),
-    observation.ObserveStation: Right("operator", _OPERATOR, targets.find_station_target, "by"),
-    shorter.SayContents: Right("operator", _OPERATOR, targets.find_station_target, "by"),
+    stock.LoadStation: Right("operator", _OPERATOR, targets.AT_STATION),
+    stock.UnloadStation: Right("operator", _OPERATOR, targets.AT_STATION, "by"),
+    stock.Replenish: Right("operator", _OPERATOR, targets.AT_MODULE),
+    observation.ObserveStation: Right("operator", _OPERATOR, targets.AT_STATION, "by"),
+    shorter.SayContents: Right("operator", _OPERATOR, targets.AT_STATION, "by"),
     shorter.ConfirmStations: Right("operator", _OPERATOR, targets.list_station_targets, "by"),
     composites.ReportRound: Right(
-        "operator", "an operator; to finish it, of the whole lab", targets.find_round_target, "by"
+        "operator", "an operator; to finish it, of the whole lab", targets.ON_ROUND, "by"
     ),
     interventions.ResolveIntervention: Right(
         "submitter",
@@ -272,16 +273,16 @@ RIGHTS: dict[type[Command], Right] = {
         "by",
     ),
     # modules and workcells
-    nodes.TakeOut: Right("operator", _OPERATOR, targets.find_module_target),
-    nodes.PutBack: Right("operator", _OPERATOR, targets.find_module_target),
-    teach.TeachLocation: Right("operator", _OPERATOR, targets.find_module_target, "by"),
-    calibrations.CalibrateModule: Right("operator", _OPERATOR, targets.find_module_target, "by"),
-    access.RequestAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
-    access.EndAccess: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
+    nodes.TakeOut: Right("operator", _OPERATOR, targets.AT_MODULE),
+    nodes.PutBack: Right("operator", _OPERATOR, targets.AT_MODULE),
+    teach.TeachLocation: Right("operator", _OPERATOR, targets.AT_MODULE, "by"),
+    calibrations.CalibrateModule: Right("operator", _OPERATOR, targets.AT_MODULE, "by"),
+    access.RequestAccess: Right("operator", _OPERATOR, targets.IN_WORKCELL, "by"),
+    access.EndAccess: Right("operator", _OPERATOR, targets.IN_WORKCELL, "by"),
     lab.ApplyWorkcell: Right(
         "admin", "an admin of the workcell; for a new one, of the whole lab", targets.find_file_target
     ),
-    suggestions.SuggestOrder: Right("operator", _OPERATOR, targets.find_workcell_target, "by"),
+    suggestions.SuggestOrder: Right("operator", _OPERATOR, targets.IN_WORKCELL, "by"),
     # bookings
     bookings.MakeBooking: Right(
         "submitter",
@@ -297,55 +298,25 @@ RIGHTS: dict[type[Command], Right] = {
     ),
     bookings.CancelBooking: Right("submitter", _OWN, targets.find_booking_target, "by"),
     # people
-    shares.ApplyShares: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    submissions.ApplyPolicy: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    erasure.EraseWords: Right("admin", _ADMIN, targets.require_in_lab("admin"), "by"),
-    erasure.RefuseErasure: Right("admin", _ADMIN, targets.require_in_lab("admin"), "by"),
-    users.AddUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.DisableUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.EnableUser: Right("admin", _ADMIN, targets.require_in_lab("admin")),
+    shares.ApplyShares: Right("admin", _ADMIN, targets.IN_LAB),
+    submissions.ApplyPolicy: Right("admin", _ADMIN, targets.IN_LAB),
+    erasure.EraseWords: Right("admin", _ADMIN, targets.IN_LAB, "by"),
+    erasure.RefuseErasure: Right("admin", _ADMIN, targets.IN_LAB, "by"),
+    users.AddUser: Right("admin", _ADMIN, targets.IN_LAB),
+    users.DisableUser: Right("admin", _ADMIN, targets.IN_LAB),
+    users.EnableUser: Right("admin", _ADMIN, targets.IN_LAB),
     users.EraseUser: Right("viewer", "the user, or " + _ADMIN, targets.find_erasure_target, "by"),
-    users.AddGroup: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.RemoveGroup: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.AddMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.RemoveMember: Right("admin", _ADMIN, targets.require_in_lab("admin")),
-    users.GrantRole: Right("admin", "an admin of where the role is granted", targets.find_grant_target),
-    users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.find_grant_target),
-    # Commands that LabOS sends itself.
-    access.GrantAccess: _INSIDE,
-    actions.AcceptAction: _INSIDE,
-    actions.DoubtAction: _INSIDE,
-    actions.FinishAction: _INSIDE,
-    actions.RefuseAction: _INSIDE,
-    actions.ResendAction: _INSIDE,
-    actions.StartStep: _INSIDE,
-    bookings.BeginBooking: _INSIDE,
-    bookings.EndBooking: _INSIDE,
-    bookings.NearBooking: _INSIDE,
-    campaigns.RefuseRow: _INSIDE,
-    campaigns.SubmitRow: _INSIDE,
-    campaigns.SubmitRows: _INSIDE,
-    cancelling.GiveUpWayOut: _INSIDE,
-    cancelling.TakeWayOut: _INSIDE,
-    choices.BindAnew: _INSIDE,
-    doubts.DoubtNode: _INSIDE,
-    doubts.OutrankNode: _INSIDE,
-    experiments.AskAboutClosing: _INSIDE,
-    experiments.LoseExperiment: _INSIDE,
-    lab.CreateLab: _INSIDE,
-    lab.StartKernel: _INSIDE,
-    nodes.EndOutage: _INSIDE,
-    nodes.HearJournal: _INSIDE,
-    nodes.JoinNode: _INSIDE,
-    nodes.LoseNode: _INSIDE,
-    nodes.Quarantine: _INSIDE,
+    users.AddGroup: Right("admin", _ADMIN, targets.IN_LAB),
+    users.RemoveGroup: Right("admin", _ADMIN, targets.IN_LAB),
+    users.AddMember: Right("admin", _ADMIN, targets.IN_LAB),
+    users.RemoveMember: Right("admin", _ADMIN, targets.IN_LAB),
+    users.GrantRole: Right("admin", "an admin of where the role is granted", targets.TO_GRANT),
+    users.RevokeRole: Right("admin", "an admin of where the role is revoked", targets.TO_GRANT),
     nodes.RecordStops: Right("viewer", "the person who stopped it; it is recorded in any case"),
-    nodes.ReportState: _INSIDE,
-    runs.BreachWindow: _INSIDE,
-    shorter.ReportShorterLog: _INSIDE,
-    steps.TimeOutAction: _INSIDE,
-    together.StartTogether: _INSIDE,
-    verification.VerifyAction: _INSIDE,
-    work.NoteOverdue: _INSIDE,
+    **{
+        command: _INSIDE
+        for command in DECIDERS
+        if issubclass(command, InnerCommand) and command is not nodes.RecordStops
+    },
 }
 """The right that each command needs."""

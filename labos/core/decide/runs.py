@@ -7,9 +7,10 @@ from itertools import chain
 from typing import Any
 
 from labos.core.canonical import digest, encode_canonical
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.choices import compare_plans
 from labos.core.decide.endings import give_up
+from labos.core.decide.lookups import decides_about, expect_run
 from labos.core.decide.windows import (
     ask_about_breach,
     describe_lateness,
@@ -97,7 +98,7 @@ class ResumeRun(Command, frozen=True):
     run: RunId
 
 
-class BreachWindow(Command, frozen=True):
+class BreachWindow(InnerCommand, frozen=True):
     """The latest time for a step has passed, and the step has not started."""
 
     run: RunId
@@ -280,26 +281,15 @@ def _check_parking(state: LabState, plan: Plan, experiment: Experiment) -> Rejec
     return None
 
 
-def expect_alive(state: LabState, run: RunId) -> RunState | Rejection:
-    found = state.runs.get(run)
-    return found or Rejection("no_run", f"There is no run {run} that has not ended.")
-
-
-@decides(PauseRun)
-def pause_run(state: LabState, command: PauseRun) -> Decision:
-    run = expect_alive(state, command.run)
-    if isinstance(run, Rejection):
-        return run
+@decides_about(PauseRun, expect_run)
+def pause_run(state: LabState, command: PauseRun, run: RunState) -> Decision:
     if run.paused:
         return record_repeat(command.run, "pause", command.why)
     return [RunPaused(command.run, command.why)]
 
 
-@decides(ResumeRun)
-def resume_run(state: LabState, command: ResumeRun) -> Decision:
-    run = expect_alive(state, command.run)
-    if isinstance(run, Rejection):
-        return run
+@decides_about(ResumeRun, expect_run)
+def resume_run(state: LabState, command: ResumeRun, run: RunState) -> Decision:
     if not run.paused:
         return []
     return [RunResumed(command.run)]

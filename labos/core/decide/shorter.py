@@ -8,13 +8,13 @@ from typing import get_args
 import msgspec
 
 from labos.core.actions import Action, ActionDiscovered, ActionStatus
-from labos.core.bench import remove_labware, split_item
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.bench import StationState, remove_labware, split_item
+from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides, refuse_hotel
 from labos.core.decide.contents import list_contents_events, list_recorded
 from labos.core.decide.endings import has_open_action, record_end
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
-from labos.core.ids import ActionId, InterventionId, LabwareId, ModuleName, StationName, local, workcell_of
-from labos.core.interventions import InterventionResolved
+from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, local, workcell_of
 from labos.core.labware import LabwareUncertain
 from labos.core.modules import ModuleStatus, VariableSet
 from labos.core.registry import Event
@@ -54,7 +54,7 @@ class FoundAction(msgspec.Struct, frozen=True):
     effects: tuple[AnyEffect, ...] | None = None
 
 
-class ReportShorterLog(Command, frozen=True):
+class ReportShorterLog(InnerCommand, frozen=True):
     """A part of the system knows a position that this log does not have. ``evidence`` names it (a checkpoint,
     a restored backup). ``knows`` describes its knowledge, as words after its name. ``ended`` is the end of
     the log at the time of the comparison. If ``known_position`` is 0, it is only known that the log may be
@@ -223,11 +223,8 @@ def must_describe(state: LabState, name: StationName) -> bool:
     return state.shorter.is_touched(name) or name in state.bench.uncertain_at or doubtful
 
 
-@decides(SayContents)
-def say_contents(state: LabState, command: SayContents) -> Decision:
-    station = state.bench.stations.get(command.station)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(command.station)}.")
+@decides_about(SayContents, expect_station)
+def say_contents(state: LabState, command: SayContents, station: StationState) -> Decision:
     wrong = (
         _refuse_without_round(state)
         or refuse_hotel(state, command.station)
@@ -255,12 +252,8 @@ def _withdraw_answered(state: LabState, command: SayContents) -> list[Event]:
         }
         about = {e.labware for e in motions if e.labware} | {*question.labware}
         if command.station in asked or about & here:
-            found.append(_withdraw(question.id, command.by))
+            found.append(question.withdraw(f"{command.by} has reported what stands where"))
     return found
-
-
-def _withdraw(question: InterventionId, by: str) -> Event:
-    return InterventionResolved(question, "withdrawn", "labos", f"{by} has reported what stands where")
 
 
 @decides(ConfirmStations)
@@ -394,7 +387,7 @@ def _end_round(state: LabState, by: str, note: str) -> Iterator[Event]:
         if not run.paused:
             yield RunPaused(run.id)
     for question in state.interventions.open_about(*get_args(WhereItStands)):
-        yield _withdraw(question.id, by)
+        yield question.withdraw(f"{by} has reported what stands where")
     for item in [item for item in state.bench.labware.values() if item.maybe]:
         yield from remove_labware(
             state.bench, item.id, "", GONE, f"not found when the bench was checked ({by})"

@@ -17,8 +17,9 @@ from labos.core.actions import (
 from labos.core.branches import is_inert
 from labos.core.canonical import encode_canonical
 from labos.core.conditions import holds, sort_results_by_key
-from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide._base import Decision, InnerCommand
 from labos.core.decide.endings import fail_run, give_up
+from labos.core.decide.lookups import decides_about, find_action
 from labos.core.decide.outcomes import find_carried_off, make_question, mark_uncertain
 from labos.core.decide.waiting import ask_about_waiting_device
 from labos.core.effects import Requires, Sets, list_carried, list_moved
@@ -35,7 +36,7 @@ from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexp
 from labos.core.topics import FailedStep
 
 
-class TimeOutAction(Command, frozen=True):
+class TimeOutAction(InnerCommand, frozen=True):
     """An action has no result: its time-out has passed, its node stays away, or its device stands still and
     reports why."""
 
@@ -43,11 +44,8 @@ class TimeOutAction(Command, frozen=True):
     now: int
 
 
-@decides(TimeOutAction)
-def time_out_action(state: LabState, command: TimeOutAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None:
-        return []
+@decides_about(TimeOutAction, find_action)
+def time_out_action(state: LabState, command: TimeOutAction, action: Action) -> Decision:
     due, missed = find_due_time(state, action), find_give_up_time(state, action)
     if due is not None and command.now > due:
         step = state.runs.plan_of(state.runs.active[action.run]).steps[action.step]

@@ -9,6 +9,7 @@ from itertools import chain, islice
 from labos.core.bench import StationState, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
+from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import list_carried
 from labos.core.expiry import DATE, find_first_expired
 from labos.core.ids import (
@@ -20,7 +21,8 @@ from labos.core.ids import (
     RunId,
     StationName,
     local,
-    split_owner,
+    split_key,
+    split_level_key,
 )
 from labos.core.labware import (
     LabwareChanged,
@@ -95,7 +97,7 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     if module not in state.modules.by_name:
         return Rejection("no_module", f"There is no module {local(module)}.")
     if level is None:
-        known = [key.rpartition(":")[2] for key in state.resources.levels if key.startswith(f"{module}:")]
+        known = [name for where, name in map(split_level_key, state.resources.levels) if where == module]
         return Rejection(
             "no_resource",
             f"{local(module)} uses no {resource!r}.",
@@ -129,11 +131,24 @@ def replenish(state: LabState, command: Replenish) -> Decision:
     return [ResourceReplenished(module, resource, *put_in)]
 
 
-@decides(LoadStation)
-def load_station(state: LabState, command: LoadStation) -> Decision:
-    found = _expect_free_of_doubt(state, command.station)
-    if isinstance(found, Rejection):
-        return found
+def _expect_free_of_doubt(state: LabState, command: LoadStation | UnloadStation) -> StationState | Rejection:
+    """A station at which no arm is at work and no uncertain labware may stand."""
+    name, station = command.station, expect_station(state, command)
+    if isinstance(station, Rejection):
+        return station
+    if name in state.bench.uncertain_at:
+        return Rejection(
+            "uncertain",
+            f"It is not yet known what stands at {local(name)}.",
+            "Answer the open intervention first.",
+        )
+    if station.expected or count_taking(state.bench, name):
+        return Rejection("in_motion", f"An arm is working at {local(name)}.", "Wait until it has ended.")
+    return station
+
+
+@decides_about(LoadStation, _expect_free_of_doubt)
+def load_station(state: LabState, command: LoadStation, found: StationState) -> Decision:
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: labware cannot be loaded there.")
@@ -204,7 +219,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     waste = station is not None and station.spec.kind == "waste"
     # Labware in a waste has left the bench. So labware that is being discarded, or may have been, is not
     # taken out of the waste.
-    found = station if waste and station is not None else _expect_free_of_doubt(state, command.station)
+    found = station if waste and station is not None else _expect_free_of_doubt(state, command)
     if isinstance(found, Rejection):
         return found
     name = local(command.station)
@@ -269,25 +284,9 @@ def _throws_into(step: PlanStep, waste: StationName) -> bool:
     return any(what.filled == waste for what in list_carried(step.effects))
 
 
-def _expect_free_of_doubt(state: LabState, name: StationName) -> StationState | Rejection:
-    """A station at which no arm is at work and no uncertain labware may stand."""
-    station = state.bench.stations.get(name)
-    if station is None:
-        return Rejection("no_station", f"There is no station {local(name)}.")
-    if name in state.bench.uncertain_at:
-        return Rejection(
-            "uncertain",
-            f"It is not yet known what stands at {local(name)}.",
-            "Answer the open intervention first.",
-        )
-    if station.expected or count_taking(state.bench, name):
-        return Rejection("in_motion", f"An arm is working at {local(name)}.", "Wait until it has ended.")
-    return station
-
-
 def _find_owner_alive(state: LabState, owner: Owner) -> str:
     """The run or experiment that owns labware, if it has not ended; otherwise empty."""
-    kind, name = split_owner(owner)
+    kind, name = split_key(owner)
     if kind == "run" and state.runs.get(RunId(name)) is not None:
         return f"run {name}"
     if kind == "experiment" and ExperimentId(name) in state.experiments.open:

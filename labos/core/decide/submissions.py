@@ -7,20 +7,14 @@ checked here: an approved run is scheduled like any other.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import Any
 
 import msgspec
 
-from labos.core.approvals import (
-    ApprovalRequested,
-    Demand,
-    Why,
-)
-from labos.core.campaigns import (
-    Terms,
-)
+from labos.core.approvals import ApprovalRequested, Demand, Kind, Why
+from labos.core.campaigns import Campaign, Terms
 from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
 from labos.core.decide.batches import SubmitRuns, list_new, name_run
@@ -119,14 +113,13 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
         return events  # it is known already
     if isinstance(command, SubmitRow):
         return _decide_row(state, command, events)
-    high = refuse_priority(state, command, actor)
-    if high is not None:
+    if high := refuse_priority(state, command, actor):
         return high
     match command:
         case SubmitRun():
             request = _request_for_run(state, command, events, actor)
         case SubmitCampaign():
-            request = _request_for_campaign(state, command, events, actor)
+            request = _request_for_campaign(state, command, actor)
         case StartExperiment():
             request = _request_for_experiment(state, command, events, actor)
         case AmendCampaign():
@@ -204,33 +197,21 @@ def _request_for_run(
         "payload": _make_digest(event.payload),
         **({"experiment": event.experiment} if event.experiment else {}),
     }
-    asked = Submission(
-        event.user, command.plan.workcell, sum_demand_of_choices(command.plans), command.propose
-    )
-    why = list_reasons(state, asked, actor, parts=parts)
-    return _request(state, event.run, "run", event.workflow, asked, actor, why, parts, [event.priority])
+    demand = sum_demand_of_choices(command.plans)
+    asked = Submission(event.user, command.plan.workcell, demand, command.propose)
+    return _request(state, event.run, "run", event.workflow, asked, actor, parts, [event.priority])
 
 
-def _request_for_campaign(
-    state: LabState, command: SubmitCampaign, events: list[Event], actor: str
-) -> ApprovalRequested | None:
+def _request_for_campaign(state: LabState, command: SubmitCampaign, actor: str) -> ApprovalRequested | None:
     name = f"C{state.campaigns.named + 1}"
     demand = msgspec.structs.replace(command.demand, rows=command.rows)
     asked = Submission(command.user, command.workcell, demand, command.propose, command.terms)
-    why = list_reasons(state, asked, actor)
-    return _request_for_table(state, name, command, asked, actor, why)
+    parts = _list_table_parts(command, command.terms)
+    return _request(state, name, "campaign", command.name, asked, actor, parts)
 
 
-def _request_for_table(
-    state: LabState,
-    name: str,
-    of: SubmitCampaign,
-    asked: Submission,
-    actor: str,
-    why: tuple[Why, ...],
-) -> ApprovalRequested | None:
-    parts = {"workflow": of.definition, "table": of.table, "terms": _make_digest(of.terms)}
-    return _request(state, name, "campaign", of.name, asked, actor, why, parts, [], of.terms)
+def _list_table_parts(of: SubmitCampaign | Campaign, terms: Terms) -> dict[str, str]:
+    return {"workflow": of.definition, "table": of.table, "terms": _make_digest(terms)}
 
 
 def _request_for_experiment(
@@ -240,11 +221,9 @@ def _request_for_experiment(
     plan = command.closing
     demand = sum_demand([plan] if plan is not None else [])
     asked = Submission(command.user, plan.workcell if plan is not None else "", demand, command.propose)
-    why = list_reasons(state, asked, actor)
     parts = {"closing": event.closing, "parking": digest(encode_canonical(list(event.parking)))}
-    return _request(
-        state, event.experiment, "experiment", event.name, asked, actor, why, parts, [event.priority]
-    )
+    also = [event.priority]
+    return _request(state, event.experiment, "experiment", event.name, asked, actor, parts, also)
 
 
 def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Event], actor: str) -> Decision:
@@ -252,27 +231,17 @@ def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Even
     way, a change that allows it more waits, and the campaign continues under its old terms."""
     campaign = state.campaigns.open[command.campaign]
     waiting = state.approvals.open.get(campaign.id)
+    who, name = (campaign.user, campaign.workcell), campaign.name
     if waiting is not None and waiting.kind == "campaign":
         parts = {**waiting.parts, "terms": _make_digest(command.terms)}
-        asked = Submission(campaign.user, campaign.workcell, waiting.demand)
-        again = _request(
-            *(state, campaign.id, "campaign", campaign.name, asked, waiting.by, waiting.why),
-            *(parts, [], command.terms),
-        )
+        asked = Submission(*who, waiting.demand, terms=command.terms)
+        again = _request(state, campaign.id, "campaign", name, asked, waiting.by, parts, why=waiting.why)
         return [*events, *([again] if again is not None else [])]
     if not allows_more(campaign.terms, command.terms):
         return events
-    demand = Demand(rows=campaign.rows)
-    asked = Submission(campaign.user, campaign.workcell, demand, False, command.terms, campaign.terms)
-    why = list_reasons(state, asked, actor)
-    parts = {
-        "workflow": campaign.definition,
-        "table": campaign.table,
-        "terms": _make_digest(command.terms),
-    }
-    request = _request(
-        state, campaign.id, "amendment", campaign.name, asked, actor, why, parts, [], command.terms
-    )
+    asked = Submission(*who, Demand(rows=campaign.rows), False, command.terms, campaign.terms)
+    parts = _list_table_parts(campaign, command.terms)
+    request = _request(state, campaign.id, "amendment", name, asked, actor, parts)
     return events if request is None else [request]
 
 
@@ -285,14 +254,10 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
         return events
     demand = Demand(dangers=dangers, rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
-    why = tuple(why for why in list_reasons(state, asked, campaign.user) if why.code == "dangerous")
-    parts = {
-        "workflow": campaign.definition,
-        "table": campaign.table,
-        "terms": _make_digest(campaign.terms),
-    }
+    parts = _list_table_parts(campaign, campaign.terms)
+    why = [why for why in list_reasons(state, asked, campaign.user, parts) if why.code == "dangerous"]
     request = _request(
-        state, campaign.id, "campaign", campaign.name, asked, campaign.user, why, parts, [], campaign.terms
+        state, campaign.id, "campaign", campaign.name, asked, campaign.user, parts, why=tuple(why)
     )
     return events if request is None else [request]
 
@@ -316,26 +281,27 @@ def allows_more(old: Terms, new: Terms) -> bool:
 def _request(
     state: LabState,
     subject: str,
-    kind: str,
+    kind: Kind,
     name: str,
     asked: Submission,
     actor: str,
-    why: tuple[Why, ...],
     parts: dict[str, str],
-    also: list[int],
-    terms: Terms | None = None,
+    also: Sequence[int] = (),
+    why: tuple[Why, ...] | None = None,
 ) -> ApprovalRequested | None:
-    """The event that makes a submission wait for an approval; None if it needs none."""
+    """The event that makes a submission wait for an approval; None if it needs none. ``why`` are the reasons
+    if they are known already."""
+    why = list_reasons(state, asked, actor, parts) if why is None else why
     if not why:
         return None
-    past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)  # type: ignore[arg-type]
+    past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)
     was = past.parts if past is not None else {}
     changed = sorted(
         part for part in {*parts, *was} if parts.get(part) != was.get(part) and part not in UNCOMPARED
     )
     return ApprovalRequested(
         subject=subject,
-        kind=kind,  # type: ignore[arg-type]
+        kind=kind,
         name=name,
         user=asked.user,
         by=actor,
@@ -345,7 +311,7 @@ def _request(
         demand=asked.demand,
         before=past.subject if past is not None else "",
         changed=tuple(changed) if past is not None else (),
-        terms=terms,
+        terms=asked.terms,
     )
 
 

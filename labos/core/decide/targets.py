@@ -10,7 +10,6 @@ import msgspec
 from labos.core.bench import Labware
 from labos.core.decide import (
     bookings,
-    campaigns,
     experiments,
     handover,
     interventions,
@@ -21,7 +20,7 @@ from labos.core.decide import (
     shorter,
     users,
 )
-from labos.core.decide._base import Command
+from labos.core.decide.lookups import find_owner
 from labos.core.ids import (
     CampaignId,
     ExperimentId,
@@ -30,7 +29,7 @@ from labos.core.ids import (
     RunId,
     StationName,
     experiment_owner,
-    split_owner,
+    split_key,
     workcell_of,
 )
 from labos.core.lab import WHOLE_LAB
@@ -58,38 +57,24 @@ class Target(msgspec.Struct, frozen=True):
     owner_only: bool = False
 
 
-def require_in_lab(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
-    return lambda state, command: (Target(needs, (WHOLE_LAB,)),)
+def require(needs: Role, find_cell: Callable[[Any], str]) -> Callable[[LabState, Any], Iterable[Target]]:
+    """The targets of commands that need a role in one place, which the command itself names."""
+    return lambda state, command: (Target(needs, (find_cell(command),)),)
 
 
-def require_anywhere(needs: Role) -> Callable[[LabState, Command], Iterable[Target]]:
-    """The target of commands about things without a workcell: the role in any workcell is enough."""
-    return lambda state, command: (Target(needs, (ANYWHERE,)),)
-
-
-def find_module_target(state: LabState, command: Any) -> Iterable[Target]:
-    return (Target("operator", (workcell_of(command.module),)),)
-
-
-def find_station_target(state: LabState, command: Any) -> Iterable[Target]:
-    return (Target("operator", (workcell_of(command.station),)),)
+IN_LAB = require("admin", lambda command: WHOLE_LAB)
+TO_SIGN = require("viewer", lambda command: ANYWHERE)
+TO_GRANT = require("admin", lambda command: command.scope)
+AT_MODULE = require("operator", lambda command: workcell_of(command.module))
+AT_STATION = require("operator", lambda command: workcell_of(command.station))
+IN_WORKCELL = require("operator", lambda command: command.workcell)
+TO_SUBMIT = require("submitter", lambda command: command.workcell)
+ON_ROUND = require("operator", lambda command: WHOLE_LAB if command.finish else ANYWHERE)
+"""The stations of a round are checked one by one."""
 
 
 def list_station_targets(state: LabState, command: shorter.ConfirmStations) -> Iterable[Target]:
     return [Target("operator", (workcell_of(name),)) for name in command.stations]
-
-
-def find_round_target(state: LabState, command: Any) -> Iterable[Target]:
-    """The stations of the command are checked one by one."""
-    return (Target("operator", (WHOLE_LAB if command.finish else ANYWHERE,)),)
-
-
-def find_new_campaign_target(state: LabState, command: campaigns.SubmitCampaign) -> Iterable[Target]:
-    return (Target("submitter", (command.workcell,)),)
-
-
-def find_workcell_target(state: LabState, command: Any) -> Iterable[Target]:
-    return (Target("operator", (command.workcell,)),)
 
 
 def target_run(state: LabState, name: str) -> Target:
@@ -133,23 +118,12 @@ def target_labware(state: LabState, name: LabwareId) -> Target:
     item = state.bench.labware.get(name)
     if item is None:
         return Target("submitter", (ANYWHERE,))
-    return Target("submitter", (cell_of(item),), owner_of(state, item), str(item.id))
+    return Target("submitter", (cell_of(item),), find_owner(state, item.owner), str(item.id))
 
 
 def cell_of(item: Labware) -> str:
     place = item.station or next(filter(None, item.maybe), "")
     return workcell_of(StationName(place)) if place else ANYWHERE
-
-
-def owner_of(state: LabState, item: Labware) -> str:
-    """The user who owns labware; empty if it is shared or has no owner."""
-    kind, name = split_owner(item.owner)
-    if kind == "user":
-        return name
-    run = state.runs.get(name) if kind == "run" else None
-    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
-    found = run or experiment
-    return found.user if found is not None else ""
 
 
 def find_label_target(state: LabState, command: labware.NameBarcode) -> Iterable[Target]:
@@ -164,7 +138,7 @@ def list_plate_targets(state: LabState, command: labware.RegisterSamples) -> Ite
 
 def list_handover_targets(state: LabState, command: handover.HandOver) -> Iterable[Target]:
     target = target_labware(state, command.labware)
-    kind, name = split_owner(command.to)
+    kind, name = split_key(command.to)
     if kind == "experiment":
         yield target_experiment(state, name)
     yield msgspec.structs.replace(target, needs="operator") if command.force else target
@@ -266,7 +240,3 @@ def find_booking_target(state: LabState, command: Any) -> Iterable[Target]:
 def find_erasure_target(state: LabState, command: users.EraseUser) -> Iterable[Target]:
     own = command.by == command.user
     return (Target("viewer", (ANYWHERE,)) if own else Target("admin", (WHOLE_LAB,)),)
-
-
-def find_grant_target(state: LabState, command: Any) -> Iterable[Target]:
-    yield Target("admin", (command.scope,))

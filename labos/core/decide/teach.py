@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 
-from labos.core.decide._base import Command, Decision, Rejection, decides, refuse_hotel
+from labos.core.decide._base import Command, Decision, Rejection, refuse_hotel
+from labos.core.decide.lookups import decides_about, expect_module
 from labos.core.ids import ModuleName, StationName, local
-from labos.core.modules import LocationTaught
+from labos.core.modules import LocationTaught, Module
 from labos.core.state import LabState
 from labos.core.words import Words
 
@@ -23,11 +24,8 @@ class TeachLocation(Command, frozen=True):
     labware_type: str = ""
 
 
-@decides(TeachLocation)
-def teach_location(state: LabState, command: TeachLocation) -> Decision:
-    module = state.modules.by_name.get(command.module)
-    if module is None:
-        return Rejection("no_module", f"There is no module {local(command.module)}.")
+@decides_about(TeachLocation, expect_module)
+def teach_location(state: LabState, command: TeachLocation, module: Module) -> Decision:
     if command.station not in state.bench.stations:
         return Rejection("no_station", f"There is no station {local(command.station)}.")
     shelved = refuse_hotel(state, command.station)

@@ -7,7 +7,7 @@ from typing import Any
 
 from labos.core.actions import ActionRequested
 from labos.core.canonical import encode_canonical
-from labos.core.decide._base import Command, Decision, Rejection, decides
+from labos.core.decide._base import Decision, InnerCommand, Rejection, decides
 from labos.core.decide.actions import StartStep, request_action
 from labos.core.decide.inputs import fill_inputs, name_returned_files
 from labos.core.effects import find_labware_used
@@ -19,7 +19,7 @@ from labos.core.state import LabState
 from labos.core.together import find_together
 
 
-class StartTogether(Command, frozen=True):
+class StartTogether(InnerCommand, frozen=True):
     """Request the actions of one step of each of several runs. Their device carries them out at once. All of
     them start, or none."""
 

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from labos.core.decide._base import Command, Decision, Rejection, decides
-from labos.core.ids import split_owner
+from labos.core.decide.lookups import decides_about
+from labos.core.ids import split_key
 from labos.core.lab import WHOLE_LAB
 from labos.core.registry import Event
+from labos.core.shares import Group
 from labos.core.state import LabState
 from labos.core.users import (
     GroupAdded,
@@ -19,6 +22,7 @@ from labos.core.users import (
     Role,
     RoleGranted,
     RoleRevoked,
+    User,
     UserAdded,
     UserDisabled,
     UserEnabled,
@@ -118,28 +122,28 @@ def _grant(user: str, role: Role, scope: str) -> RoleGranted:
     return RoleGranted(user_subject(user), role, scope)
 
 
-@decides(EraseUser)
-def erase_user(state: LabState, command: EraseUser) -> Decision:
-    if command.user not in state.users.known:
-        return refuse_unknown_user(command.user)
+def _expect_user(state: LabState, command: Any) -> User | Rejection:
+    return state.users.known.get(command.user) or refuse_unknown_user(command.user)
+
+
+def _expect_group(state: LabState, command: Any) -> Group | Rejection:
+    return state.shares.groups.get(command.group) or _refuse_unknown_group(command.group)
+
+
+@decides_about(EraseUser, _expect_user)
+def erase_user(state: LabState, command: EraseUser, user: User) -> Decision:
     return [UserErased(command.user)]
 
 
-@decides(DisableUser)
-def disable_user(state: LabState, command: DisableUser) -> Decision:
-    user = state.users.known.get(command.user)
-    if user is None:
-        return refuse_unknown_user(command.user)
+@decides_about(DisableUser, _expect_user)
+def disable_user(state: LabState, command: DisableUser, user: User) -> Decision:
     if user.disabled:
         return []
     return _check_last_admin(state, command.user) or [UserDisabled(command.user)]
 
 
-@decides(EnableUser)
-def enable_user(state: LabState, command: EnableUser) -> Decision:
-    user = state.users.known.get(command.user)
-    if user is None:
-        return refuse_unknown_user(command.user)
+@decides_about(EnableUser, _expect_user)
+def enable_user(state: LabState, command: EnableUser, user: User) -> Decision:
     return [UserEnabled(command.user)] if user.disabled else []
 
 
@@ -148,10 +152,8 @@ def add_group(state: LabState, command: AddGroup) -> Decision:
     return _check_id("group", command.group, list(state.shares.groups)) or [GroupAdded(command.group)]
 
 
-@decides(RemoveGroup)
-def remove_group(state: LabState, command: RemoveGroup) -> Decision:
-    if command.group not in state.shares.groups:
-        return _refuse_unknown_group(command.group)
+@decides_about(RemoveGroup, _expect_group)
+def remove_group(state: LabState, command: RemoveGroup, group: Group) -> Decision:
     return _remove(state, command.group)
 
 
@@ -162,10 +164,8 @@ def _remove(state: LabState, group: str) -> Iterator[Event]:
     yield GroupRemoved(group)
 
 
-@decides(AddMember)
-def add_member(state: LabState, command: AddMember) -> Decision:
-    if command.group not in state.shares.groups:
-        return _refuse_unknown_group(command.group)
+@decides_about(AddMember, _expect_group)
+def add_member(state: LabState, command: AddMember, group: Group) -> Decision:
     if command.user not in state.users.known:
         return refuse_unknown_user(command.user)
     present = state.shares.group_of.get(command.user)
@@ -180,10 +180,8 @@ def add_member(state: LabState, command: AddMember) -> Decision:
     return [MemberAdded(command.group, command.user)]
 
 
-@decides(RemoveMember)
-def remove_member(state: LabState, command: RemoveMember) -> Decision:
-    if command.group not in state.shares.groups:
-        return _refuse_unknown_group(command.group)
+@decides_about(RemoveMember, _expect_group)
+def remove_member(state: LabState, command: RemoveMember, group: Group) -> Decision:
     if state.shares.group_of.get(command.user) != command.group:
         return []
     return [MemberRemoved(command.group, command.user)]
@@ -196,7 +194,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
         return wrong
     if state.users.roles.get(command.subject, {}).get(command.scope) == command.role:
         return []
-    kind, name = split_owner(command.subject)
+    kind, name = split_key(command.subject)
     if kind == "user" and command.scope == WHOLE_LAB:  # it replaces the role in the whole lab
         wrong = _check_last_admin(state, name)
     return wrong or [RoleGranted(command.subject, command.role, command.scope)]
@@ -206,7 +204,7 @@ def grant_role(state: LabState, command: GrantRole) -> Decision:
 def revoke_role(state: LabState, command: RevokeRole) -> Decision:
     if command.scope not in state.users.roles.get(command.subject, {}):
         return _check_subject(state, command.subject) or []
-    kind, name = split_owner(command.subject)
+    kind, name = split_key(command.subject)
     last = _check_last_admin(state, name) if kind == "user" and command.scope == WHOLE_LAB else None
     return last or [RoleRevoked(command.subject, command.scope)]
 
@@ -234,7 +232,7 @@ def _check_id(what: str, name: str, known: list[str]) -> Rejection | None:
 
 
 def _check_subject(state: LabState, subject: str) -> Rejection | None:
-    kind, name = split_owner(subject)
+    kind, name = split_key(subject)
     if kind == "user":
         return None if name in state.users.known else refuse_unknown_user(name)
     if kind == "group":

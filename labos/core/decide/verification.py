@@ -15,8 +15,9 @@ import msgspec
 
 from labos.core.actions import Action, ActionFailed, ActionStatus, EffectsDone
 from labos.core.bench import StationState
-from labos.core.decide._base import Decision, Report, decides
+from labos.core.decide._base import Decision, Report
 from labos.core.decide.actions import FinishAction, finish
+from labos.core.decide.lookups import decides_about, find_action
 from labos.core.decide.outcomes import list_effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
@@ -51,10 +52,9 @@ class VerifyAction(Report, frozen=True):
     unseen: str = ""
 
 
-@decides(VerifyAction)
-def verify_action(state: LabState, command: VerifyAction) -> Decision:
-    action = state.actions.open.get(command.action)
-    if action is None or action.status != ActionStatus.REPORTED or is_disturbed(state, action):
+@decides_about(VerifyAction, find_action)
+def verify_action(state: LabState, command: VerifyAction, action: Action) -> Decision:
+    if action.status != ActionStatus.REPORTED or is_disturbed(state, action):
         return []
     sights = {seen.station: seen for seen in command.seen if seen.station in action.looks}
     events: list[Event] = [

@@ -51,7 +51,7 @@ def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateC
     for question in state.interventions.list_about(event.module):
         if isinstance(question.topic, DeviceWaits):
             why = _GOES_ON.get(type(event), "its action has ended")
-            yield InterventionResolved(question.id, "withdrawn", "labos", why)
+            yield question.withdraw(why)
 
 
 _GOES_ON: dict[type[Event], str] = {
@@ -70,4 +70,4 @@ def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[E
             yield InterventionResolved(question.id, done, question.module)
         elif isinstance(question.topic, UnknownAction) or isinstance(event, ActionRejected | ActionReported):
             why = "the node has answered"
-            yield InterventionResolved(question.id, "withdrawn", "labos", why)
+            yield question.withdraw(why)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from labos.core.decide._base import Rejection
-from labos.core.ids import ExperimentId, InterventionId, RunId
+from labos.core.ids import ExperimentId, RunId
 from labos.core.interventions import (
-    InterventionResolved,
+    Intervention,
 )
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
@@ -92,9 +92,9 @@ def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> li
     ]
 
 
-def list_questions(state: LabState, run: RunId, *topics: type[Topic]) -> list[InterventionId]:
+def list_questions(state: LabState, run: RunId, *topics: type[Topic]) -> list[Intervention]:
     """The open questions of these types about a run."""
-    return [q.id for q in state.interventions.find_by_run(run) if isinstance(q.topic, topics)]
+    return [q for q in state.interventions.find_by_run(run) if isinstance(q.topic, topics)]
 
 
 # -- reactions -----------------------------------------------------------------------------------
@@ -102,12 +102,13 @@ def list_questions(state: LabState, run: RunId, *topics: type[Topic]) -> list[In
 
 def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Event]:
     """When a person resumes a run, the questions about its late steps are withdrawn."""
-    for name in list_questions(state, event.run, LateStep):
-        yield InterventionResolved(name, "withdrawn", "labos", "the run was resumed")
+    for question in list_questions(state, event.run, LateStep):
+        yield question.withdraw("the run was resumed")
 
 
 def withdraw_run_questions(state: LabState, event: RunStarted | RunEnd) -> Iterator[Event]:
     """When a run starts or ends, the questions about it and its steps are withdrawn."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
-    for name in list_questions(state, event.run, LateStep, FailedStep, ClosingWaits, SecondPerson, Approval):
-        yield InterventionResolved(name, "withdrawn", "labos", why)
+    topics = (LateStep, FailedStep, ClosingWaits, SecondPerson, Approval)
+    for question in list_questions(state, event.run, *topics):
+        yield question.withdraw(why)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.actions import Action
-from labos.core.decide._base import Command, Decision, decides
+from labos.core.decide._base import Decision, InnerCommand, decides
 from labos.core.effects import AnyEffect, Move, Needs, Take
 from labos.core.ids import ActionId, InterventionId, LabwareId, local
 from labos.core.interventions import (
@@ -25,7 +25,7 @@ from labos.core.state import LabState
 from labos.core.topics import PlannedWork
 
 
-class NoteOverdue(Command, frozen=True):
+class NoteOverdue(InnerCommand, frozen=True):
     """The due time of planned work has passed, and nobody has confirmed it."""
 
     intervention: InterventionId

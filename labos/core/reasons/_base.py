@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from labos.core.ids import local, split_owner
+from labos.core.ids import local, split_key
 
 
 class Urgency(StrEnum):
@@ -70,5 +70,5 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
 
 def in_words(name: str) -> str:
     """A module, station or labware without its workcell; an owner as text."""
-    kind, which = split_owner(name)
+    kind, which = split_key(name)
     return f"{kind} {which}" if which and kind in ("run", "experiment", "user") else local(name)

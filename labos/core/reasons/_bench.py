@@ -5,6 +5,12 @@ from __future__ import annotations
 from labos.core.reasons._base import PERSON, Reason
 
 
+class AtStation(Reason, frozen=True):
+    """A reason that may end when a station changes."""
+
+    WAKES = ("station",)
+
+
 class ReachedInto(Reason, frozen=True):
     SENTENCE = "an arm is reaching into {place}"
     WAKES = ("station", "module")
@@ -19,10 +25,9 @@ class Requires(Reason, frozen=True):
     value: str
 
 
-class Unfit(Reason, frozen=True):
+class Unfit(AtStation, frozen=True):
     SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
     REMEDY = "Let a run of its owner change that, or remove it and report that: labos unload"
-    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     variable: str
@@ -51,34 +56,30 @@ class Expired(Reason, frozen=True):
     until: str
 
 
-class StackEmpty(Reason, frozen=True):
+class StackEmpty(AtStation, frozen=True):
     SENTENCE = "the stack {place} is empty"
     REMEDY = "Fill it and report that: labos load {place} --type TYPE --count N --lot LOT"
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class Buried(Reason, frozen=True):
+class Buried(AtStation, frozen=True):
     SENTENCE = "{labware} stands on top of the stack {place}"
     REMEDY = "It continues when a run moves that away."
-    WAKES = ("station",)
     place: str
     labware: str
 
 
-class Uncertain(Reason, frozen=True):
+class Uncertain(AtStation, frozen=True):
     SENTENCE = "it is not known what stands at {place}"
     REMEDY = "Look there and answer the open question: labos resolve"
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class Lost(Reason, frozen=True):
+class Lost(AtStation, frozen=True):
     SENTENCE = "it is not known where {labware} is"
     REMEDY = "Look for it and answer the open question: labos resolve"
-    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
 
@@ -90,43 +91,38 @@ class InMotion(Reason, frozen=True):
     place: str
 
 
-class InUse(Reason, frozen=True):
+class InUse(AtStation, frozen=True):
     SENTENCE = "{owner} works on {labware} at {place} until it ends"
-    WAKES = ("station",)
     labware: str
     place: str
     owner: str
 
 
-class NotYours(Reason, frozen=True):
+class NotYours(AtStation, frozen=True):
     SENTENCE = "{labware} at {place} belongs to {owner}"
     REMEDY = "Let a run of its owner move it away."
-    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     place: str
     owner: str
 
 
-class Undeclared(Reason, frozen=True):
+class Undeclared(AtStation, frozen=True):
     SENTENCE = "it was never reported what stands at {place}"
     REMEDY = "Report what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class NothingThere(Reason, frozen=True):
+class NothingThere(AtStation, frozen=True):
     SENTENCE = "nothing stands at {place}"
     REMEDY = "Put some there and report that: labos place {place} TYPE"
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 
 
-class StillToCome(Reason, frozen=True):
+class StillToCome(AtStation, frozen=True):
     SENTENCE = "nothing stands at {place} yet"
-    WAKES = ("station",)
     place: str
 
 
@@ -138,19 +134,17 @@ class NoAccess(Reason, frozen=True):
     value: str
 
 
-class NotAccepted(Reason, frozen=True):
+class NotAccepted(AtStation, frozen=True):
     SENTENCE = "{place} does not accept {labware_type}"
     REMEDY = "Put labware there that it accepts, or change `accepts:` in the workcell file."
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
     labware_type: str
 
 
-class WrongWay(Reason, frozen=True):
+class WrongWay(AtStation, frozen=True):
     SENTENCE = "{labware} would lie turned by {turned} degrees at {place}, which takes it turned by {wanted}"
     REMEDY = "Use another grip in the workflow (narrow here, wide there), or turn it by hand."
-    WAKES = ("station",)
     URGENCY = PERSON
     labware: str
     place: str
@@ -158,10 +152,9 @@ class WrongWay(Reason, frozen=True):
     wanted: str
 
 
-class NoGrip(Reason, frozen=True):
+class NoGrip(AtStation, frozen=True):
     SENTENCE = "{module} cannot hold {labware_type} {grip} at {place}, only {known}"
     REMEDY = "Use another grip in the workflow, or teach the arm and add it under `reach:`."
-    WAKES = ("station",)
     URGENCY = PERSON
     module: str
     place: str
@@ -170,10 +163,9 @@ class NoGrip(Reason, frozen=True):
     known: str
 
 
-class WasteFull(Reason, frozen=True):
+class WasteFull(AtStation, frozen=True):
     SENTENCE = "the waste {place} is full"
     REMEDY = "Empty it and report that: labos unload {place} --all"
-    WAKES = ("station",)
     URGENCY = PERSON
     place: str
 

@@ -6,10 +6,15 @@ from labos.core.ids import ModuleName, local, workcell_of
 from labos.core.reasons._base import PERSON, Reason
 
 
-class NoModule(Reason, frozen=True):
+class AtModule(Reason, frozen=True):
+    """A reason that may end when a module changes."""
+
+    WAKES = ("module",)
+
+
+class NoModule(AtModule, frozen=True):
     SENTENCE = "there is no module {module}"
     REMEDY = "Set up a workcell that has it: labos up WORKCELL"
-    WAKES = ("module",)
     URGENCY = PERSON
     module: str
 
@@ -23,18 +28,16 @@ class Access(Reason, frozen=True):
     by: str
 
 
-class OutOfService(Reason, frozen=True):
+class OutOfService(AtModule, frozen=True):
     SENTENCE = "{module} is out of service ({why})"
     REMEDY = "Check it, then answer the open question (labos resolve) or: labos in-service {module}"
-    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     why: str
 
 
-class ModuleDown(Reason, frozen=True):
+class ModuleDown(AtModule, frozen=True):
     SENTENCE = "{module} is {status} ({error})"
-    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     status: str
@@ -48,41 +51,36 @@ class ModuleDown(Reason, frozen=True):
         return f"Check it, then: labos reset {name}"
 
 
-class Unwatched(Reason, frozen=True):
+class Unwatched(AtModule, frozen=True):
     SENTENCE = "{observer}, which observes {place} after every motion, is {how}"
     REMEDY = "Bring {observer} back, or write `verify: on_doubt` for {place} in the workcell file."
-    WAKES = ("module",)
     URGENCY = PERSON
     place: str
     observer: str
     how: str
 
 
-class ModuleBusy(Reason, frozen=True):
+class ModuleBusy(AtModule, frozen=True):
     SENTENCE = "{module} is busy"
-    WAKES = ("module",)
     module: str
 
 
-class Unsettled(Reason, frozen=True):
+class Unsettled(AtModule, frozen=True):
     SENTENCE = "it is not known how the last action of {module} ended"
     REMEDY = "Look there and answer the open question: labos resolve {question}"
-    WAKES = ("module",)
     URGENCY = PERSON
     module: str
     question: str
 
 
-class Held(Reason, frozen=True):
+class Held(AtModule, frozen=True):
     SENTENCE = "{module} is held by {holder}"
-    WAKES = ("module",)
     module: str
     holder: str
 
 
-class Setpoint(Reason, frozen=True):
+class Setpoint(AtModule, frozen=True):
     SENTENCE = "{setpoint} of {module} is set to {value} for {holder}"
-    WAKES = ("module",)
     module: str
     setpoint: str
     value: str

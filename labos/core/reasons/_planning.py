@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.core.ids import local, split_owner
+from labos.core.ids import local, split_key
 from labos.core.reasons._base import PERSON, Reason, in_words
+
+
+class InCell(Reason, frozen=True):
+    """A reason that may end with any change in the workcell."""
+
+    WAKES = ("cell",)
 
 
 class Reserved(Reason, frozen=True):
@@ -45,12 +51,11 @@ class AfterElder(Reason, frozen=True):
     run: str
 
 
-class WouldBlock(Reason, frozen=True):
+class WouldBlock(InCell, frozen=True):
     SENTENCE = (
         "its first step waits until {onward} is free (at about {free_at}), because the run would block "
         "{place} before that"
     )
-    WAKES = ("cell",)
     place: str
     onward: str
     free_at: str
@@ -82,30 +87,26 @@ class ForOthers(Reason, frozen=True):
     until: str
 
 
-class SoonerAfter(Reason, frozen=True):
+class SoonerAfter(InCell, frozen=True):
     SENTENCE = "all work ends sooner if {run} goes first, at {place}"
-    WAKES = ("cell",)
     run: str
     place: str
 
 
-class LaterHere(Reason, frozen=True):
+class LaterHere(InCell, frozen=True):
     SENTENCE = "all work ends sooner if {step!r} starts later (at about {at})"
-    WAKES = ("cell",)
     step: str
     at: str
 
 
-class AfterSuggested(Reason, frozen=True):
+class AfterSuggested(InCell, frozen=True):
     SENTENCE = "the planner suggests that {run} goes first, at {place}"
-    WAKES = ("cell",)
     run: str
     place: str
 
 
-class ClockLater(Reason, frozen=True):
+class ClockLater(InCell, frozen=True):
     SENTENCE = "the planner suggests that the clock of {step!r} starts later (at about {at})"
-    WAKES = ("cell",)
     step: str
     at: str
 
@@ -121,20 +122,18 @@ class BetterHere(Reason, frozen=True):
         return {"step": in_words(self.step), "first": local(self.dead[0])}
 
 
-class NoWayOut(Reason, frozen=True):
+class NoWayOut(InCell, frozen=True):
     SENTENCE = "after {step!r} the run could not reach its end at present"
     REMEDY = (
         "It starts when its path is free. If no run moves the labware that is in the way, submit one "
         "that does."
     )
-    WAKES = ("cell",)
     step: str
     run: str
 
 
-class Unsafe(Reason, frozen=True):
+class Unsafe(InCell, frozen=True):
     SENTENCE = "starting {step!r} now would trap {who}"
-    WAKES = ("cell",)
     step: str
     trapped: tuple[str, ...]
 
@@ -143,7 +142,7 @@ class Unsafe(Reason, frozen=True):
 
 
 def _describe_owner(name: str) -> str:
-    kind, which = split_owner(name)
+    kind, which = split_key(name)
     return f"experiment {which}" if kind == "experiment" else f"run {which or name}"
 
 

@@ -5,26 +5,29 @@ from __future__ import annotations
 from labos.core.reasons._base import PERSON, Reason
 
 
-class Paused(Reason, frozen=True):
+class OfRun(Reason, frozen=True):
+    """A reason that may end when the run changes."""
+
+    WAKES = ("run",)
+
+
+class Paused(OfRun, frozen=True):
     SENTENCE = "run {run} is paused"
     REMEDY = "Continue it: labos resume {run}"
-    WAKES = ("run",)
     URGENCY = PERSON
     run: str
 
 
-class Unapproved(Reason, frozen=True):
+class Unapproved(OfRun, frozen=True):
     SENTENCE = "it has a dangerous step, and nobody except {user} has checked it yet"
     REMEDY = "Ask another operator to check it and to answer the question: labos resolve"
-    WAKES = ("run",)
     URGENCY = PERSON
     user: str
 
 
-class NotApproved(Reason, frozen=True):
+class NotApproved(OfRun, frozen=True):
     SENTENCE = "run {run} waits for approval, because {why}"
     REMEDY = "An operator checks it (labos approvals {run}) and approves it: labos approve {run}"
-    WAKES = ("run",)
     URGENCY = PERSON
     run: str
     why: str
@@ -49,9 +52,8 @@ class LogShorter(Reason, frozen=True):
     ended: str
 
 
-class Cancelling(Reason, frozen=True):
+class Cancelling(OfRun, frozen=True):
     SENTENCE = "run {run} is being cancelled"
-    WAKES = ("run",)
     run: str
 
 
@@ -59,15 +61,13 @@ class Gone(Reason, frozen=True):
     SENTENCE = "the run has ended"
 
 
-class NotPending(Reason, frozen=True):
+class NotPending(OfRun, frozen=True):
     SENTENCE = "step {step!r} is already in progress"
-    WAKES = ("run",)
     step: str
 
 
-class After(Reason, frozen=True):
+class After(OfRun, frozen=True):
     SENTENCE = "an earlier step has not ended"
-    WAKES = ("run",)
     step: str = ""
 
 
@@ -89,10 +89,9 @@ class TooEarly(Reason, frozen=True):
     step: str
 
 
-class Outcome(Reason, frozen=True):
+class Outcome(OfRun, frozen=True):
     SENTENCE = "it is not known how step {step!r} ended"
     REMEDY = "Look there and answer the open question: labos resolve"
-    WAKES = ("run",)
     URGENCY = PERSON
     step: str
 

@@ -7,12 +7,28 @@ from typing import Annotated
 import msgspec
 from starlette.responses import Response
 
+from labos.core.decide.users import EraseUser
+from labos.core.recurrence import DAY_NS
+from labos.core.users import LABOS, group_subject, user_subject
+from labos.errors import BadInput, Forbidden, NotSignedIn
 from labos.http import provider_sign_in, signing
+from labos.http.identity import SIGN_IN
 from labos.http.limits import Name
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
+from labos.http.providing import find_user_meant
 from labos.http.queries import OfUser
+from labos.http.signing import (
+    answer_secret,
+    expect_admin,
+    expect_self_or_admin,
+    expect_users,
+    give_cookie,
+    is_admin,
+    is_program,
+)
 from labos.ports import Person
+from labos.services.accounts import allows
 
 
 class OfToken(msgspec.Struct, frozen=True):
@@ -52,7 +68,17 @@ _USER = {"user": "ada"}
 async def sign_in(call: Call, body: signing.SignIn) -> Response:
     """A browser gets a session of 12 hours, as a cookie that scripts cannot read. A program asks for a
     `token`. After six wrong attempts within a minute, further attempts are refused."""
-    return await signing.sign_in(call, body)
+    expect_users(call.kernel.state)
+    gate, accounts = call.api.gate, call.api.gate.accounts
+    await accounts.expect_password(body.user, body.password, call.address)
+    if body.token:
+        secret, token = await accounts.make_token(body.user, body.label, body.scope, body.days)
+        return answer_secret(signing.SignedIn(body.user, token.expires_at, secret))
+    before = call.request.cookies.get(gate.cookie, "")
+    secret, session = await accounts.begin_session(body.user, "password", before=before)
+    answer = answer_secret(signing.SignedIn(body.user, session.expires_at))
+    give_cookie(gate, answer, secret, session)
+    return answer
 
 
 @Operation(
@@ -77,7 +103,16 @@ async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Respo
     """For a command line. The user opens the address in a browser. On the same computer, the browser returns
     to a local port. For a `device` without a browser, the user enters the code in a browser elsewhere. The
     sign-in expires after ten minutes."""
-    return await provider_sign_in.begin(call, body)
+    way = provider_sign_in.find_way(call)
+    if body.device:
+        begun, shown = await way.begin_device()
+        found = provider_sign_in.ProviderSignIn(
+            begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
+        )
+    else:
+        begun = await way.begin(body.port)
+        found = provider_sign_in.ProviderSignIn(begun.address, begun.state, begun.browser)
+    return answer_secret(found)
 
 
 @Operation(
@@ -95,7 +130,21 @@ async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Respo
 async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Response:
     """The request holds the parameters with which the browser returned from the provider. For a `device`
     there are none: repeat the request every `wait_s` seconds until there is a token."""
-    return await provider_sign_in.finish(call, body)
+    from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
+
+    way, accounts = provider_sign_in.find_way(call), call.api.gate.accounts
+    sent = {"state": body.state, "code": body.code, "iss": body.iss, "error": body.error}
+    try:
+        claims = await way.finish({name: text for name, text in sent.items() if text}, body.key)
+        if isinstance(claims, RetryAfter):
+            return answer_secret(provider_sign_in.FinishedSignIn(wait_s=claims.seconds))
+        user = await find_user_meant(call.api, way.provider, claims)
+    except NotSignedIn:
+        accounts.count_try("wrong")
+        raise
+    accounts.count_try("right")
+    secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
+    return answer_secret(provider_sign_in.FinishedSignIn(user, token.expires_at, secret))
 
 
 @Operation(
@@ -109,7 +158,16 @@ async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Res
 )
 async def sign_out(call: Call) -> Response:
     """The session of the cookie ends, or the token of the request is revoked. Their open streams end too."""
-    return await signing.sign_out(call)
+    gate, accounts = call.api.gate, call.api.gate.accounts
+    credential = call.who.credential
+    if credential is not None and credential.token:
+        await accounts.revoke_token(credential.token)
+    cookie = call.request.cookies.get(gate.cookie, "")
+    if cookie and call.who.how == "session":
+        await accounts.end_session(cookie)
+    answer = answer_secret(signing.UserReference(call.who.user))
+    answer.delete_cookie(gate.cookie, path="/", secure=gate.secure, httponly=True, samesite="strict")
+    return answer
 
 
 @Operation(
@@ -119,7 +177,27 @@ async def sign_out(call: Call) -> Response:
     needs="viewer",
 )
 async def get_identity(call: Call) -> signing.Identity:
-    return await signing.find_identity(call)
+    who, state = call.who, call.kernel.state
+    known = state.users.known.get(who.user)
+    person = (await call.api.gate.accounts.people()).get(who.user, Person(who.user))
+    group = state.shares.group_of.get(who.user, "")
+    roles = {
+        **state.users.roles.get(group_subject(group), {}),
+        **state.users.roles.get(user_subject(who.user), {}),
+    }
+    is_open = state.users.is_open
+    scope = "admin" if is_open else "viewer"
+    return signing.Identity(
+        who.user,
+        "open" if is_open else who.how,
+        who.credential.scope if who.credential is not None else scope,
+        known.kind if known is not None else "",
+        group,
+        {str(scope): str(role) for scope, role in roles.items()},
+        person.name,
+        person.mail,
+        who.credential.until if who.credential is not None else 0,
+    )
 
 
 @Operation(
@@ -131,7 +209,10 @@ async def get_identity(call: Call) -> signing.Identity:
 )
 async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
     """The answer has no secrets: the lab does not store them."""
-    return signing.Tokens(await signing.list_tokens(call, query.user))
+    user = query.user
+    if call.who.is_known and user != call.who.user and user and not is_admin(call):
+        raise Forbidden(f"Only {user} and admins can manage the tokens of {user}.", remedy="Name yourself.")
+    return signing.Tokens(await call.api.gate.accounts.tokens(user or call.who.user))
 
 
 @Operation(
@@ -150,9 +231,24 @@ async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
 async def make_token(call: Call, body: signing.NewToken) -> Response:
     """The secret is shown only in this answer. A token that was made with another token is never valid longer
     and never allows more than that one."""
-    found = await signing.make_token(call, body)
-    headers = {"cache-control": "no-store"}
-    return Response(msgspec.json.encode(found), 201, headers, "application/json")
+    expect_users(call.kernel.state)
+    user = body.user or call.who.user
+    if not user:
+        raise BadInput("The token needs a user.", remedy="Name its user: --user NAME")
+    expect_self_or_admin(call, user)
+    credential, days = call.who.credential, body.days
+    if credential is not None:
+        if not allows(credential.scope, body.scope):
+            raise Forbidden(
+                f"The token {credential.token} has the role {credential.scope}, so it cannot make a "
+                f"token with the role {body.scope}.",
+                remedy=SIGN_IN,
+            )
+        if credential.token:  # a stolen token must not live on in tokens that were made with it
+            now = call.kernel.clock.now_ns()
+            days = min(days, (credential.until - now) / DAY_NS)
+    secret, token = await call.api.gate.accounts.make_token(user, body.label, body.scope, days)
+    return answer_secret(signing.MadeToken(token, secret), 201)
 
 
 @Operation(
@@ -165,7 +261,9 @@ async def make_token(call: Call, body: signing.NewToken) -> Response:
 )
 async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
     """The token is invalid from now on; streams that were opened with it end."""
-    return signing.UserReference((await signing.revoke_token(call, path.token)).user)
+    any_ = is_admin(call) and not is_program(call)
+    token = await call.api.gate.accounts.revoke_token(path.token, "" if any_ else call.who.user)
+    return signing.UserReference(token.user)
 
 
 @Operation(
@@ -176,7 +274,14 @@ async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
     example_answer={"people": [{"user": "ada", "name": "Ada Byron", "mail": ""}]},
 )
 async def list_people(call: Call) -> signing.People:
-    return await signing.list_people(call)
+    people = (await call.api.gate.accounts.people()).values()
+    all_mails = is_admin(call)
+    return signing.People(
+        [
+            person if all_mails or person.user == call.who.user else Person(person.user, person.name)
+            for person in people
+        ]
+    )
 
 
 @Operation(
@@ -192,7 +297,20 @@ async def list_people(call: Call) -> signing.People:
 )
 async def change_password(call: Call, path: OfUser, body: signing.NewPassword) -> signing.UserReference:
     """All sessions of the user end; tokens stay."""
-    await signing.change_password(call, path.user, body)
+    user, accounts = path.user, call.api.gate.accounts
+    expect_self_or_admin(call, user)
+    if call.kernel.state.users.known[user].kind == "service":
+        raise BadInput(
+            f"{user} is a service account.", remedy=f"Make a token for it: labos token create --user {user}"
+        )
+    if call.who.user == user and await accounts.has_password(user):
+        try:
+            await accounts.expect_password(user, body.present, call.address)
+        except NotSignedIn:
+            raise Forbidden(
+                "The present password is wrong.", remedy="Ask an admin if you forgot it."
+            ) from None
+    await accounts.set_password(user, body.password)
     return signing.UserReference(path.user)
 
 
@@ -208,7 +326,14 @@ async def change_password(call: Call, path: OfUser, body: signing.NewPassword) -
 )
 async def change_person(call: Call, path: OfUser, body: signing.PersonDetails) -> Person:
     """They are stored beside the log, which contains only the ids of users."""
-    return await signing.change_person(call, path.user, body)
+    expect_self_or_admin(call, path.user)
+    accounts = call.api.gate.accounts
+    present = (await accounts.people()).get(path.user, Person(path.user))
+    name = present.name if body.name is None else body.name
+    mail = present.mail if body.mail is None else body.mail
+    person = Person(path.user, name, mail)
+    await accounts.set_person(person)
+    return person
 
 
 @Operation(
@@ -222,7 +347,10 @@ async def change_person(call: Call, path: OfUser, body: signing.PersonDetails) -
 async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
     """The name, the address, the password and all tokens and sessions are deleted. Events remain and contain
     the id. A further event records the erasure."""
-    await signing.erase_person(call, path.user)
+    expect_self_or_admin(call, path.user)
+    by = call.who.user if call.who.is_known else LABOS  # the owner of the lab's folder has no name
+    await call.api.gate.accounts.erase(path.user)
+    await call.kernel.execute(EraseUser(path.user, by), call.who.actor if call.who.is_known else LABOS)
     return signing.UserReference(path.user)
 
 
@@ -237,8 +365,8 @@ async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
 )
 async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
     """The account with this `subject` at the identity provider belongs to this user."""
-    signing.expect_admin(call.who, call)
-    signing.expect_self_or_admin(call, path.user)
+    expect_admin(call)
+    expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
     return signing.UserReference(path.user)
 

@@ -11,19 +11,20 @@ from labos.core.approvals import Demand, Proposal, Why
 from labos.core.campaigns import Terms
 from labos.core.decide.proposals import ApproveProposal, RefuseProposal
 from labos.core.decide.submissions import ApplyPolicy
+from labos.core.decide.targets import cells_of
 from labos.core.ids import CampaignId
 from labos.core.policy import Policy
 from labos.core.state import LabState
 from labos.core.structs import make_from
-from labos.errors import NotFound
-from labos.http.approval_forecast import ProposalForecast, forecast_proposal
+from labos.errors import BadInput, NotFound
 from labos.http.bodies import Amendment, Amounts, Limit
-from labos.http.campaigns import amend_terms
+from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
+from labos.planning.lab_forecast import LabForecast
 from labos.services.proposals import ChangedPart, describe_waiting, list_differences
 from labos.spec.policy import parse_policy
 
@@ -77,6 +78,15 @@ class ProposalDetail(msgspec.Struct, frozen=True):
 
     proposal: ProposalView
     differences: list[ChangedPart]
+
+
+class ProposalForecast(msgspec.Struct, frozen=True):
+    """The forecast for a proposal: its start and end, the times when a person is needed, the runs that it
+    delays, the obstacles, and for each consumable the amount that its plan needs and the amount that is
+    left."""
+
+    forecast: LabForecast
+    consumables: dict[str, ConsumableEstimate]
 
 
 class ProposalAnswer(msgspec.Struct, frozen=True):
@@ -140,7 +150,7 @@ _POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
     summary="List the submissions that wait for an approval",
     needs="viewer",
 )
-async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
+def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """A page of them, the oldest first. While there are `more`, ask for the next page with `after` = the last
     `subject`."""
     state = call.kernel.state
@@ -148,7 +158,6 @@ async def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     begin = names.index(query.after) + 1 if query.after in names else 0
     shown = names[begin : begin + query.limit]
     found = [_make_view(state, state.approvals.open[name]) for name in shown]
-    await call.kernel.flush()
     return Proposals(found, begin + query.limit < len(names))
 
 
@@ -178,8 +187,21 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     """The forecast assumes that the submission is approved now, without changes. This does not approve it. An
     experiment cannot be forecast, because its application decides while it runs."""
-    found = await forecast_proposal(call.service, _find_proposal(call, path))
-    return msgspec.structs.replace(found, forecast=hide_others(found.forecast, call))
+    proposal = _find_proposal(call, path)
+    if proposal.kind == "experiment":
+        raise BadInput(
+            f"There is no forecast for the experiment {proposal.subject}, because its application decides "
+            "during the experiment.",
+            remedy="Each of its runs waits for an approval. Check those.",
+        )
+    (cell,) = cells_of(call.kernel.state, proposal.subject)
+    needed = proposal.demand.consumables
+    consumables = {
+        kind: ConsumableEstimate(amount, find_left(call.service, cell, kind))
+        for kind, amount in needed.items()
+    }
+    forecast = await call.service.forecasts.forecast(approved=proposal.subject)
+    return ProposalForecast(hide_others(forecast, call), consumables)
 
 
 @Operation(
@@ -237,11 +259,9 @@ async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -
     summary="Show the policy: which submissions need an approval, and the highest priority",
     needs="viewer",
 )
-async def get_policy(call: Call) -> PolicyView:
+def get_policy(call: Call) -> PolicyView:
     approvals = call.kernel.state.approvals
-    found = PolicyView(approvals.applied, approvals.policy)
-    await call.kernel.flush()
-    return found
+    return PolicyView(approvals.applied, approvals.policy)
 
 
 @Operation(

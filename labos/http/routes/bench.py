@@ -4,7 +4,7 @@ them."""
 from __future__ import annotations
 
 from labos.core.decide.labware import NameBarcode
-from labos.core.ids import LabwareId
+from labos.core.ids import LabwareId, split_key
 from labos.http.answers import (
     DeclareResult,
     LabwareOwner,
@@ -132,12 +132,10 @@ async def declare_stations(call: Call, body: BenchDeclaration) -> DeclareResult:
     summary="Show what has to be reported of the bench after the log lost its end",
     needs="viewer",
 )
-async def get_round(call: Call) -> Round:
+def get_round(call: Call) -> Round:
     """The evidence that the log has lost its end, and the stations that have to be reported before anything
     starts. If the log is complete, the answer is empty."""
-    view = round_view(call.kernel.state)
-    await call.kernel.flush()
-    return view
+    return round_view(call.kernel.state)
 
 
 @Operation(
@@ -190,8 +188,9 @@ async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> Labw
 async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> LabwareOwner:
     """It is refused while a run uses the labware, while it is being moved or processed, and if it does not
     belong to `by`."""
-    if body.to.startswith("user:"):
-        check_person(body.to.removeprefix("user:"), "to")
+    kind, name = split_key(body.to)
+    if kind == "user":
+        check_person(name, "to")
     await give(call.service, path.labware, body.to, body.by, force=body.force, note=body.note)
     return LabwareOwner(path.labware, body.to)
 

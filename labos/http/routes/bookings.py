@@ -68,12 +68,10 @@ _TIME = {name: _BOOKING[name] for name in ("target", "begins_at", "ends_at", "us
     problems=("not_found",),
     example_answer={"bookings": [_BOOKING]},
 )
-async def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
+def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
     """The bookings that have not ended, in the order of their next times."""
     views = [make_view(booking) for booking in select_bookings(call.service, query.target)]
-    found = BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
-    await call.kernel.flush()
-    return found
+    return BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
 
 
 @Operation(
@@ -112,10 +110,8 @@ async def make_booking(call: Call, body: NewBooking) -> BookingView:
     needs="viewer",
     example_answer=_BOOKING,
 )
-async def get_booking(call: Call, path: OfBooking) -> BookingView:
-    found = make_view(find_booking(call.kernel.state, path.booking))
-    await call.kernel.flush()
-    return found
+def get_booking(call: Call, path: OfBooking) -> BookingView:
+    return make_view(find_booking(call.kernel.state, path.booking))
 
 
 @Operation(
@@ -164,11 +160,9 @@ async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> Bo
         "times": [{"booking": "B3", "maintenance": False, **_TIME}],
     },
 )
-async def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
+def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
     """Each time of each booking, also of repeated ones."""
-    found = make_calendar(call.service, query, call.kernel.clock.now_ns())
-    await call.kernel.flush()
-    return found
+    return make_calendar(call.service, query, call.kernel.clock.now_ns())
 
 
 @Operation(

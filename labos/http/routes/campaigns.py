@@ -60,11 +60,9 @@ _SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
     summary="List the campaigns that have not been completed",
     needs="viewer",
 )
-async def list_campaigns(call: Call) -> Campaigns:
+def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
-    found = [make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden]
-    await call.kernel.flush()
-    return Campaigns(found)
+    return Campaigns([make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden])
 
 
 @Operation(
@@ -99,10 +97,8 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     summary="Show the progress and the terms of a campaign that has not been completed",
     needs="viewer",
 )
-async def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
-    found = make_view(call.kernel.state, _open_campaign(call, path))
-    await call.kernel.flush()
-    return found
+def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
+    return make_view(call.kernel.state, _open_campaign(call, path))
 
 
 @Operation(
@@ -213,10 +209,8 @@ async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> Cam
     summary="Show each user's share of the lab, and the use so far",
     needs="viewer",
 )
-async def list_shares(call: Call) -> Shares:
-    accounts = make_ledger(call.kernel.state, call.kernel.clock.now_ns())
-    await call.kernel.flush()
-    return Shares(accounts)
+def list_shares(call: Call) -> Shares:
+    return Shares(make_ledger(call.kernel.state, call.kernel.clock.now_ns()))
 
 
 @Operation(

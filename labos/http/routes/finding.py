@@ -60,21 +60,7 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     finder = call.service.finder
     if finder is None:
         raise Refused("This lab has no search index.", remedy="Ask in its folder: labos find")
-    return await finder.find(
-        make_from(
-            SearchQuery,
-            query,
-            kinds=tuple(query.kind),
-            users=tuple(query.user),
-            workcells=tuple(query.workcell),
-            workflows=tuple(query.workflow),
-            experiments=tuple(query.experiment),
-            runs=tuple(query.run),
-            statuses=tuple(query.status),
-            keywords=tuple(query.keyword),
-            hidden=tuple(sorted(call.hidden)),
-        )
-    )
+    return await finder.find(make_from(SearchQuery, query, hidden=tuple(sorted(call.hidden))))
 
 
 OPERATIONS = list_operations(globals(), "log")

@@ -6,8 +6,8 @@ import msgspec
 
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.runs import SubmitRun
-from labos.core.ids import ExperimentId
 from labos.core.lengths import Drift, find_drifts
+from labos.core.structs import make_from
 from labos.core.users import find_person
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
@@ -83,17 +83,17 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     workcell = await service.find_workcell_for(body.workflow, body.workcell)
     loads = make_loads(service, body.place, workcell, body.user)
     compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
-    run = SubmitRun(
-        compiled.plan,
-        find_person(body.user),
-        body.payload,
-        ExperimentId(body.experiment),
-        body.priority,
+    run = make_from(
+        SubmitRun,
+        body,
+        plan=compiled.plan,
         others=compiled.others,
+        user=find_person(body.user),
+        propose=False,
         due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    forecast = await service.forecasts.forecast_run(command, body.user)
+    forecast = await service.forecasts.forecast(command, body.user)
     return RunForecast(hide_others(forecast, call), compiled.findings)
 
 

@@ -68,13 +68,11 @@ async def get_state(call: Call, query: StateQuery) -> Response:
     summary="Show the resources that are left, and when they run out",
     needs="viewer",
 )
-async def get_inventory(call: Call) -> Inventory:
+def get_inventory(call: Call) -> Inventory:
     """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
     the first run that would have too little. Times are in UTC nanoseconds."""
     now = call.kernel.clock.now_ns()
-    found = count_inventory(call.kernel.state, now, iso_time(now)[:10])
-    await call.kernel.flush()
-    return found
+    return count_inventory(call.kernel.state, now, iso_time(now)[:10])
 
 
 @Operation(

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
+
+import msgspec
+
+from labos.core.decide.calibrations import CalibrateModule
+from labos.core.decide.nodes import PutBack, TakeOut
 from labos.core.ids import workcell_of
+from labos.core.structs import make_from
 from labos.errors import BadInput
 from labos.http.access import end_access, request_access
 from labos.http.answers import (
@@ -26,12 +33,11 @@ from labos.http.bodies import (
     WireTrace,
     WorkcellFile,
 )
-from labos.http.calibrating import calibrate
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfModule, OfWorkcell
-from labos.http.stock import Replenishment, replenish
+from labos.http.stock import Replenishment, check, replenish
 from labos.http.teaching import make_locations, teach
 from labos.http.workcells import WorkcellChange, apply_workcell
 
@@ -51,7 +57,8 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     """Actions under way continue to their end; nothing more starts there."""
     if not body.why.strip():
         raise BadInput("The field 'why' is empty.", remedy="Give the reason.")
-    await call.service.take_out(path.module, body.why, body.until, body.by)
+    module = call.service.module(path.module)
+    await call.kernel.execute(TakeOut(module, body.why, body.until, call.kernel.clock.now_ns()), body.by)
     return ModuleReference(path.module)
 
 
@@ -65,7 +72,7 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     example_answer={"module": "rpl/sealer"},
 )
 async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReference:
-    await call.service.put_back(path.module, body.by)
+    await call.kernel.execute(PutBack(call.service.module(path.module)), body.by)
     return ModuleReference(path.module)
 
 
@@ -151,7 +158,13 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
 async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> CalibrationRecord:
     """A later calibration of the same `what` replaces it. No run waits for a calibration, and none stops
     because a calibration has expired. `/files/{sha256}` returns the report."""
-    return await calibrate(call.service, path.module, body, body.by)
+    command = make_from(CalibrateModule, body, module=call.service.module(path.module))
+    if body.report:
+        check(call.service, command, body.by)  # a refused request must not leave a file behind
+        file = await asyncio.to_thread(call.service.parts.blobs.put, body.report)
+        command = msgspec.structs.replace(command, file=file)
+    await call.kernel.execute(command, body.by)
+    return make_from(CalibrationRecord, command)
 
 
 @Operation(

@@ -54,11 +54,9 @@ _GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*":
     needs="viewer",
     example_answer={"users": [_USER], "open": False},
 )
-async def list_users(call: Call) -> UserList:
+def list_users(call: Call) -> UserList:
     state = call.kernel.state
-    found = UserList(list_user_views(state), state.users.is_open)
-    await call.kernel.flush()
-    return found
+    return UserList(list_user_views(state), state.users.is_open)
 
 
 @Operation(
@@ -90,10 +88,8 @@ async def add_user(call: Call, body: NewUser) -> UserView:
     needs="viewer",
     example_answer=_USER,
 )
-async def get_user(call: Call, path: OfUser) -> UserView:
-    found = make_user_view(call.kernel.state, path.user)
-    await call.kernel.flush()
-    return found
+def get_user(call: Call, path: OfUser) -> UserView:
+    return make_user_view(call.kernel.state, path.user)
 
 
 @Operation(
@@ -135,10 +131,8 @@ async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, 
     needs="viewer",
     example_answer={"groups": [_GROUP]},
 )
-async def list_groups(call: Call) -> GroupList:
-    found = GroupList(list_group_views(call.kernel.state))
-    await call.kernel.flush()
-    return found
+def list_groups(call: Call) -> GroupList:
+    return GroupList(list_group_views(call.kernel.state))
 
 
 @Operation(

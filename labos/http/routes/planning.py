@@ -11,7 +11,7 @@ from labos.core.decide import Rejection, decide
 from labos.core.decide.policy import sum_demand_of_choices
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
-from labos.core.ids import ExperimentId, RunId, local
+from labos.core.ids import RunId, local
 from labos.core.model import MAIN
 from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
@@ -211,15 +211,13 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
     loads = make_loads(service, body.place, workcell, body.user)
     compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
     plan = compiled.plan
-    command = SubmitRun(
-        plan,
-        find_person(body.user),
-        body.payload,
-        ExperimentId(body.experiment),
-        body.priority,
-        service.list_pins(body.workflow, *compiled.plans),
-        propose=body.propose,
+    command = make_from(
+        SubmitRun,
+        body,
+        plan=plan,
         others=compiled.others,
+        user=find_person(body.user),
+        pins=service.list_pins(body.workflow, *compiled.plans),
         due_at=parse_due(body.due, call.kernel.clock.now_ns()),
     )
     answer = decide(state, command, body.user)

@@ -96,18 +96,7 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     largest_body=LARGEST_BODY,
 )
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
-    run, findings = await call.service.submit(
-        body.workflow,
-        body.payload,
-        user=body.user,
-        workcell=body.workcell,
-        priority=body.priority,
-        experiment=body.experiment,
-        place=body.place,
-        request=call.key,
-        propose=body.propose,
-        due=body.due,
-    )
+    run, findings = await call.service.submit(body, call.key)
     return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
@@ -209,17 +198,7 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     """An application starts. From now on it has to send a note or a heartbeat at least every 30 s; otherwise
     LabOS asks a person. A run of the experiment is refused if it would leave labware anywhere except at the
     `parking` stations, in storage or in a waste station."""
-    experiment = await call.service.start_experiment(
-        body.name,
-        body.user,
-        body.closing,
-        body.payload,
-        workcell=body.workcell,
-        priority=body.priority,
-        request=call.key,
-        parking=body.parking,
-        propose=body.propose,
-    )
+    experiment = await call.service.start_experiment(body, call.key)
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 

@@ -70,11 +70,9 @@ _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": 
     summary="List the erasures that wait for a second person",
     needs="viewer",
 )
-async def list_erasures(call: Call) -> Erasures:
+def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
-    found = Erasures([make_from(ErasureView, each, erasure=name) for name, each in waiting.items()])
-    await call.kernel.flush()
-    return found
+    return Erasures([make_from(ErasureView, each, erasure=name) for name, each in waiting.items()])
 
 
 @Operation(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.envelope import Envelope
-from labos.core.ids import local
+from labos.core.ids import local, module_key
 from labos.core.interventions import (
     InterventionOverdue,
     InterventionRequested,
@@ -101,10 +101,6 @@ def read_event(event: Event, head: Envelope) -> Notice | SettledNotice | None:
 
 def intervention_key(intervention: str) -> str:
     return f"intervention:{intervention}"
-
-
-def module_key(module: str) -> str:
-    return f"module:{module}"
 
 
 def quarantine_key(module: str) -> str:

@@ -10,6 +10,7 @@ import structlog
 
 from labos.clock import Clock
 from labos.core.envelope import Envelope
+from labos.core.ids import ModuleName, module_key
 from labos.core.lab import KernelStarted, LabCreated
 from labos.core.registry import Event
 from labos.errors import StoreError, Undelivered
@@ -22,7 +23,6 @@ from labos.services.notify.notices import (
     TYPES,
     Notice,
     SettledNotice,
-    module_key,
     read_event,
     report_kernel_death,
     report_kernel_gone,
@@ -37,6 +37,8 @@ LONGEST_PAUSE_S = 1800
 GIVEN_UP_S = 3 * 86_400
 IDLE_S = 60.0
 """The log is read at least every so many seconds, also without a signal."""
+
+EVERY_MODULE = module_key(ModuleName(""))
 
 OutboxItem = tuple[Notice, Sequence[Due]] | SettledNotice
 
@@ -93,9 +95,7 @@ class Notifier:
         """The kernel has shut down properly, and its nodes too."""
         self._dead = ""
         now = self.clock.now_ns()
-        self.outbox.take_in(
-            [SettledNotice(module_key(""), "the lab was closed", all=True, quietly=True)], now
-        )
+        self.outbox.take_in([SettledNotice(EVERY_MODULE, "the lab was closed", all=True, quietly=True)], now)
         self._note_closed()
 
     def on_kernel_lives(self) -> None:
@@ -224,7 +224,7 @@ class Notifier:
     def _make_restart_items(self, event: KernelStarted, head: Envelope, now: int) -> list[OutboxItem]:
         """A new kernel finds out by itself which nodes are alive; and it shows that a kernel runs again."""
         items: list[OutboxItem] = [
-            SettledNotice(module_key(""), "a new kernel is connecting to its nodes", all=True, quietly=True)
+            SettledNotice(EVERY_MODULE, "a new kernel is connecting to its nodes", all=True, quietly=True)
         ]
         before = self.outbox.note("epoch") or 0
         if before and self.outbox.note("closed") != before and not self.outbox.is_open(KERNEL):

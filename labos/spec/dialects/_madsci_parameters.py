@@ -43,13 +43,13 @@ class Parameters:
             if entry.get("default") is not None and name not in self.files:
                 parameter.take(entry, "default")
             else:
-                parameter.put("required", True, entry.at, entry.at)
+                parameter.put("required", True)
             description = str(entry.get("description") or "")
             if name in self.files:
                 description = f"path of a file; {description}" if description else "path of a file"
             if description:
-                parameter.put("description", description, entry.at, entry.at)
-            out.put(name, parameter, entry.at, entry.at)
+                parameter.put("description", description)
+            out.put(name, parameter)
         return out
 
     def declare(self, entry: SourceMapping, path: Path_, kind: str = "") -> str:

@@ -38,9 +38,8 @@ class TransferTemplates:
             self._read_templates(table.get("transfer_templates"), (key, "transfer_templates"))
             self._read_overrides(table, (key, OVERRIDES))
             self._read_capacity(table, (key, "capacity_cost_config"))
-            for name in table:
-                if name not in ("transfer_templates", OVERRIDES, "capacity_cost_config"):
-                    self.reader.ignore((key, name))
+            known = ("transfer_templates", OVERRIDES, "capacity_cost_config")
+            self.reader.ignore_others(table, known, (key,))
         return self.found
 
     def _read_overrides(self, table: SourceMapping, path: Path_) -> None:
@@ -57,9 +56,7 @@ class TransferTemplates:
         for source, targets, at in entries(overrides.get(key), (*path, key), f"`{key}`"):
             for target, rows, there in entries(targets, at, "The overrides of a source"):
                 self._read_templates(rows, there, source=source, target=target)
-        for name in overrides:
-            if name not in ("source_overrides", *OF_TARGETS, key):
-                self.reader.ignore((*path, name))
+        self.reader.ignore_others(overrides, ("source_overrides", *OF_TARGETS, key), path)
 
     def _read_templates(self, rows: object, path: Path_, *, source: str = "", target: str = "") -> None:
         if rows is None:
@@ -86,14 +83,13 @@ class TransferTemplates:
                 path,
                 remedy="Write `node_name:` and `action:`.",
             )
-        way = SourceMapping(at)
-        way.put("module", self.modules[node]["name"] if node in self.modules else node, at, at)
-        way.put("action", template["action"], at, at)
+        module = self.modules[node]["name"] if node in self.modules else node
+        way = SourceMapping(at, {"module": module, "action": template["action"]})
         for end in ("source", "target"):
-            way.put(end, str(template.get(f"{end}_argument_name") or f"{end}_location"), at, at)
+            way.put(end, str(template.get(f"{end}_argument_name") or f"{end}_location"))
         cost: Any = template.get("cost_weight")
         if is_number(cost) and cost > 0:
-            way.put("cost", cost, at, at)
+            way.put("cost", cost)
         elif cost:
             raise self.reader.source.error(
                 f"A transfer cannot cost {cost!r}.",
@@ -103,19 +99,14 @@ class TransferTemplates:
         args = SourceMapping(at)
         for key in ("additional_args", "additional_location_args"):
             for name, value, _ in self.reader.iterate_entries(template.get(key), (*path, key), f"`{key}`"):
-                args.put(
-                    name,
-                    self.places.get(value, value) if key == "additional_location_args" else value,
-                    at,
-                    at,
-                )
+                args.put(name, self.places.get(value, value) if "location" in key else value)
         if args:
-            way.put("args", args, at, at)
+            way.put("args", args)
         for end, location in ends.items():
             if location:
                 place = SourceList(at)
                 place.put(self.places[location], at)
-                way.put(end, place, at, at)
+                way.put(end, place)
         self.found.put(way, at)
 
     def _read_capacity(self, table: SourceMapping, path: Path_) -> None:

@@ -69,15 +69,12 @@ class _Workcell:
         modules = SourceList(self.source.place((nodes,)))
         for module in self.modules.values():
             modules.put(module, module.at)
-        out.put("modules", modules, modules.at, modules.at)
+        out.put("modules", modules)
         self._read_own_locations()
         self._read_locations_beside()
-        locations = SourceMapping(at)
-        for name, places in self.taught.items():
-            locations.put(name, places, places.at, places.at)
-        out.put("locations", locations, at, at)
-        out.put("stations", self.stations, at, at)
-        out.put("stock", SourceMapping(at), at, at)  # MADSci's locations are empty at first
+        out.put("locations", SourceMapping(at, self.taught))
+        out.put("stations", self.stations)
+        out.put("stock", SourceMapping(at))  # MADSci's locations are empty at first
         ways = TransferTemplates(self.reader, self.modules, self.places).read()
         if ways:
             out.put("transfers", ways, at, at)
@@ -107,21 +104,20 @@ class _Workcell:
                 remedy="Write http://host:port or sila://host:port.",
             )
         at = self.source.place(path)
-        module, config = SourceMapping(at), SourceMapping(at)
+        module, config = SourceMapping(at), SourceMapping(at, {"node_url": url})
         scheme = url.partition("://")[0].lower()
         if scheme not in INTERFACES:
             self.reader.warn_of_assumption(
                 path, f"LabOS does not know how to reach {url!r}.", "Write http:// or sila://."
             )
-        config.put("node_url", url, at, at)
         called = _BAD.sub("_", name)
         if called != name:
             self.reader.warn_of_assumption(
                 path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True
             )
         module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
-        module.put("interface", INTERFACES.get(scheme, scheme), at, at)
-        module.put("config", config, at, at)
+        module.put("interface", INTERFACES.get(scheme, scheme))
+        module.put("config", config)
         self.moved[name_field(path)] = f"modules[{len(self.modules)}]"
         self.modules[name] = module
 
@@ -182,9 +178,7 @@ class _Workcell:
             raise location.reader.source.error(
                 f"The location {location.name!r} is listed twice.", location.path, remedy="Remove one."
             )
-        station = SourceMapping(at)
-        station.put("kind", location.kind, at, at)
-        station.put("capacity", location.capacity, at, at)
+        station = SourceMapping(at, {"kind": location.kind, "capacity": location.capacity})
         self.places[location.name] = place
         aliases = SourceList(at)
         for alias in (location.name, location.id):
@@ -192,11 +186,11 @@ class _Workcell:
                 self.places[alias] = place
                 aliases.put(alias, at)
         if aliases:
-            station.put("aliases", aliases, at, at)
+            station.put("aliases", aliases)
         if not location.transfers:
-            station.put("transfers", False, at, at)
+            station.put("transfers", False)
         if location.comment:
-            station.put("comment", location.comment, at, at)
+            station.put("comment", location.comment)
         self.stations.put(place, station, at, at)
         self.moved[name_field(location.path)] = f"stations.{place}"
         for node, value in location.ways.items():

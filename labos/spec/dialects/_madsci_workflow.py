@@ -61,7 +61,7 @@ class _Workflow:
         self.reader.take_name(out, metadata)
         if isinstance(data.get("description"), str):
             out.take(data, "description")
-        out.put("metadata", metadata, metadata.at, metadata.at)
+        out.put("metadata", metadata)
         at = self.source.place(("steps",))
         steps = SourceList(at)
         last: int | None = None
@@ -83,9 +83,7 @@ class _Workflow:
             out.put("parameters", parameters, *find_places(data, "parameters"))
         out.put("steps", steps, *find_places(data, "steps"))
         known = {"name", "description", "steps", "workflow_definition_id", *METADATA, *ALIASES}
-        for key in data:
-            if key not in known:
-                self.reader.ignore((key,))
+        self.reader.ignore_others(data, known)
         done = self.reader.finish(out)
         done.moved = moved
         return done
@@ -129,16 +127,13 @@ class _Workflow:
         if node is not None:
             out.put("module", node[0], *node[1])
         out.put("action", action[0], *action[1])
-        out.put("args", arguments, arguments.at, arguments.at)
+        out.put("args", arguments)
         for key in ("description", "comment"):
             if isinstance(step.get(key), str) and "comment" not in out:
                 out.take(step, key, "comment")
         if self.pause is not None:
             seconds, after = self.pause
-            wait = SourceMapping(step.at)
-            wait.put("after", self.names[after], step.at, step.at)
-            wait.put("at_least", seconds, step.at, step.at)
-            out.put("wait", wait, step.at, step.at)
+            out.put("wait", SourceMapping(step.at, {"after": self.names[after], "at_least": seconds}))
             self.pause = None
         return out
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import PurePath
 from typing import Any
 
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping, name_field
+from labos.spec.remarks import Remarks
+from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping
 
 
 class Reader:
@@ -17,12 +18,14 @@ class Reader:
         self.source, self.report = source, report
 
     def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
-        self.report.add_warning(
-            f"The key {path[-1]!r} {why}.",
-            self.source.place(path, key=True),
-            field=name_field(path),
-            remedy="It is ignored; remove it if you can.",
-        )
+        message = f"The key {path[-1]!r} {why}."
+        self.warn_of_assumption(path, message, "It is ignored; remove it if you can.", key=True)
+
+    def ignore_others(self, table: Iterable[str], known: Collection[str], path: Path_ = ()) -> None:
+        """Report the keys of a table that are not known."""
+        for key in table:
+            if key not in known:
+                self.ignore((*path, key))
 
     def expect_table(self, value: Any, path: Path_, what: str) -> SourceMapping:
         """The value as a table; an empty value counts as an empty table."""
@@ -49,8 +52,7 @@ class Reader:
 
     def warn_of_assumption(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
         """Warn of an assumption that LabOS makes because the file has no value."""
-        place = self.source.place(path, key=key)
-        self.report.add_warning(message, place, field=name_field(path), remedy=remedy)
+        Remarks(self.source, self.report).add_warning(message, path, remedy, key=key)
 
     def take_name(self, out: SourceMapping, metadata: SourceMapping) -> None:
         """Set the name from the root, from the metadata, or from the file's name."""
@@ -59,9 +61,7 @@ class Reader:
         elif isinstance(metadata.get("name"), str):
             out.take(metadata, "name")
         else:
-            out.put(
-                "name", PurePath(self.source.file).stem or "unnamed", self.source.data.at, self.source.data.at
-            )
+            out.put("name", PurePath(self.source.file).stem or "unnamed")
 
     def iterate_entries(self, value: Any, path: Path_, what: str) -> Iterator[tuple[str, Any, Path_]]:
         """The entries of a table that may be missing: key, value, path."""

@@ -37,12 +37,8 @@ def rewrite_labware(source: Source, report: FindingList) -> Source:
     if wells is not None:
         kind.put("wells", wells, *_find_spot(source, "wells"))
     version = data.get("version")
-    kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}", at, at)
-    types = SourceMapping(at)
-    types.put(name, kind, at, at)
-    out = SourceMapping(at)
-    out.put("labware", types, at, at)
-    return reader.finish(out)
+    kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}")
+    return reader.finish(SourceMapping(at, {"labware": SourceMapping(at, {name: kind})}))
 
 
 def _find_spot(source: Source, key: str) -> tuple[Any, Any]:
@@ -59,14 +55,9 @@ def _read_number(reader: Reader, table: SourceMapping, key: str, path: tuple[str
 def _read_footprint(reader: Reader) -> SourceMapping:
     path = ("dimensions",)
     written = reader.expect_table(reader.source.data["dimensions"], path, "`dimensions`")
-    out = SourceMapping(written.at)
-    for key, name in (
-        ("xDimension", "length_mm"),
-        ("yDimension", "width_mm"),
-        ("zDimension", "height_mm"),
-    ):
-        out.put(name, _read_number(reader, written, key, path), written.at, written.at)
-    return out
+    sides = {"length_mm": "xDimension", "width_mm": "yDimension", "height_mm": "zDimension"}
+    sizes = {name: _read_number(reader, written, key, path) for name, key in sides.items()}
+    return SourceMapping(written.at, sizes)
 
 
 def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | None:
@@ -102,10 +93,7 @@ def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | Non
         "a1_y_mm": round(footprint["width_mm"] - y, 3),
         "volume_ul": volume,
     }
-    out = SourceMapping(written.at)
-    for key, value in grid.items():
-        out.put(key, value, written.at, written.at)
-    return out
+    return SourceMapping(written.at, grid)
 
 
 def _measure_pitch(names: list[list[str]], spots: dict[str, tuple[float, float]], alone: float) -> float:

@@ -12,7 +12,7 @@ from typing import Any
 
 from labos.spec.dialects._reader import Reader, find_places, is_number
 from labos.spec.findings import FindingList
-from labos.spec.source import Path_, Source, SourceList, SourceMapping, name_field
+from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
 WORKCELL_KEYS = {"name", "metadata", "config", "modules", "locations"}
 MODULE_KEYS = {"name", "model", "interface", "config", "active"}
@@ -49,26 +49,21 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
         modules.put(_rewrite_module(reader, module, path, locations), source.place(path))
         places = others.get(str(module["name"]))
         if places is not None:
-            modules[-1]["config"].put("representations", places, places.at, places.at)
+            modules[-1]["config"].put("representations", places)
     _add_positions(reader, modules, locations)
     names = {str(module["name"]) for module in modules}
     nobodys = {
         owner: places for owner, places in others.items() if owner not in names and owner != "workcell"
     }
     if nobodys:
-        left = SourceMapping(locations.at)
-        for owner, places in nobodys.items():
-            left.put(owner, places, places.at, places.at)
-        config.put(NOBODYS, left, left.at, left.at)
+        config.put(NOBODYS, SourceMapping(locations.at, nobodys))
     out.put("modules", modules, *find_places(data, "modules"))
     out.put("locations", locations, *find_places(data, "locations"))
     metadata = reader.expect_table(data.get("metadata"), ("metadata",), "`metadata`")
     for key in ("description", "info"):
         if isinstance(metadata.get(key), str) and "description" not in out:
             out.take(metadata, key, "description")
-    for key in data:
-        if key not in WORKCELL_KEYS:
-            reader.ignore((key,))
+    reader.ignore_others(data, WORKCELL_KEYS)
     return reader.finish(out)
 
 
@@ -111,12 +106,8 @@ def _rewrite_coordinates(
         out.take(module, key, "coordinates")
         return
     count = f"{len(value)} numbers" if isinstance(value, list) else repr(value)
-    reader.report.add_warning(
-        f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}.",
-        reader.source.place(path),
-        field=name_field(path),
-        remedy="They are ignored; write seven numbers.",
-    )
+    message = f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}."
+    reader.warn_of_assumption(path, message, "They are ignored; write seven numbers.")
 
 
 def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
@@ -125,12 +116,12 @@ def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locat
     owner = locations.get("workcell")
     if owner is None:
         owner = SourceMapping(written.at)
-        locations.put("workcell", owner, written.at, written.at)
+        locations.put("workcell", owner)
     for name in written:
         place = f"{module.get('name')}.{name}"
         at = written.keys_at[name]
         if place not in owner and f"{module.get('name')}" != "None":
-            owner.put(place, SourceList(at), at, at)
+            owner.put(place, SourceList(at))
 
 
 def _add_positions(reader: Reader, modules: SourceList, locations: SourceMapping) -> None:
@@ -147,12 +138,13 @@ def _add_positions(reader: Reader, modules: SourceList, locations: SourceMapping
     for module in modules if taught else ():
         config = module["config"]
         own = locations.get(str(module["name"])) or {}
-        representations = SourceMapping(taught.at)
         ways = {place: way for place, way in taught.items() if not own.get(place)}
-        for place, way in {**ways, **(config.get("representations") or {})}.items():
+        ways |= config.get("representations") or {}
+        representations = SourceMapping(taught.at)
+        for place, way in ways.items():
             representations.put(place, way, taught.at, taught.at)
         if representations:
-            config.put("representations", representations, representations.at, representations.at)
+            config.put("representations", representations)
 
 
 def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapping]]:
@@ -204,10 +196,8 @@ def rewrite_workflow(source: Source, report: FindingList) -> Source:
         step = _Step(reader, reader.expect_table(entry, path, "A step"), path, parameters)
         steps.put(step.make_form(), source.place(path))
     out.put("steps", steps, *find_places(data, "flowdef"))
-    known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters"}
-    for key in data:
-        if key not in known and key not in ABOUT:
-            reader.ignore((key,))
+    known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters", *ABOUT}
+    reader.ignore_others(data, known)
     form = reader.finish(out)
     form.written_as = {"steps": "flowdef"}
     form.moved = {f"flowdef[{index}]": f"steps[{index}]" for index in range(len(steps))}
@@ -243,8 +233,8 @@ def _read_parameters(reader: Reader) -> SourceMapping:
         if entry.get("default") is not None:
             parameter.take(entry, "default")
         else:
-            parameter.put("required", True, entry.at, entry.at)
-        out.put(entry["name"], parameter, entry.at, entry.at)
+            parameter.put("required", True)
+        out.put(entry["name"], parameter)
     return out
 
 

@@ -75,7 +75,9 @@ class Outcome(msgspec.Struct):
 class Player:
     """One workcell with full stacks. ``jitter`` scatters durations by this fraction, either way; a step takes
     as long whenever it is carried out, so that orders can be compared. A planner looks when runs are
-    submitted; where durations scatter also when runs come or go inside, or are late.
+    submitted, and nothing starts before it has; where durations scatter also when runs come or go inside, or
+    are late. There, without a planner, nothing starts until as much later: a difference of a millisecond can
+    lead to another order.
     ``together``: the runs that wait for nothing are submitted in one command, as by ``submit_all``; else one
     after the other, and the first one starts before the next one is known."""
 
@@ -125,7 +127,7 @@ class Player:
         for station in self.cell.places:
             kind, count = self.stock.get(station.name, ("", 0))
             self._tell(DeclareStation(station.name, (kind,) * count))
-        if self.planner is not None:
+        if self.planner is not None or self.jitter:
             self._tell(PauseStarts(WHOLE_LAB, "league"))  # until it has looked
         at_once = {number: work for number, work in enumerate(works) if self.together and not work.after_s}
         submitted = self._submit_together(at_once)
@@ -200,26 +202,29 @@ class Player:
         raise AssertionError("a log in memory is never read again")
 
     def _let_plan(self) -> None:
-        if self.planner is not None and not self._asked:
+        if not self._asked and (self.planner is not None or WHOLE_LAB in self.kernel.state.lab.paused):
             self._asked = True
             self.loop.call_soon(self._ask_planner)
 
     def _ask_planner(self) -> None:
         self._asked = False
-        assert self.planner is not None
+        if self.planner is not None:
+            self._look(self.planner)
+        if WHOLE_LAB in self.kernel.state.lab.paused:
+            self._tell(ResumeStarts(WHOLE_LAB, "league"))
+
+    def _look(self, planner: Planner) -> None:
         state, now = self.kernel.state, self.clock.now_ns()
         waiting = list_waiting(state, self.cell.name)
         if self.watch is not None and not self.watch.is_due(state, self.cell.name, waiting, now):
             return
-        found = self.planner.suggest(state, self.cell.name, waiting, now)
+        found = planner.suggest(state, self.cell.name, waiting, now)
         if self.watch is not None:
             self.watch.note(state, self.cell.name, waiting, found, now)
         self._ended = 0
         if found is not None:
             self._seen.update(step.run for step in found.steps)
             self._tell(found)
-        if WHOLE_LAB in state.lab.paused:
-            self._tell(ResumeStarts(WHOLE_LAB, "league"))
 
     def _begin(self, event: ActionRequested, now: float) -> None:
         self._begun[event.run, event.step] = now

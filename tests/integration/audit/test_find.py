@@ -62,7 +62,7 @@ def test_words_find_what_has_them_all(url: str) -> None:
     assert published.keywords == ["green", "Colour mixing"]
     assert published.creators == ["eve", "0000-0002-1825-0097"]
     assert [file.sha256 for file in published.files] == [PICTURE["sha256"]]
-    assert names(url, "128 mixing") == names(url, "plate.png", kinds=("publication",)) == [published.name]
+    assert names(url, "128 mixing") == names(url, "plate.png", kind=("publication",)) == [published.name]
     assert names(url, "café blue") == []
     assert names(url, "gre") == []
     assert names(url, "gre*") == [published.name]
@@ -73,7 +73,7 @@ def test_words_find_what_has_them_all(url: str) -> None:
 def test_what_bears_the_words_as_its_name_comes_first(url: str) -> None:
     assert names(url, "r2")[0] == "R2"
     assert names(url, "e1")[0] == "E1"
-    assert set(names(url, "E1", kinds=("run",))) == {"R4"}
+    assert set(names(url, "E1", kind=("run",))) == {"R4"}
 
 
 def test_each_kind_is_there_with_what_is_known_of_it(url: str) -> None:
@@ -101,11 +101,11 @@ def test_filters_and_facets_count_what_fits(url: str) -> None:
     assert counts["month"] == {"2025-06": found.total}
     assert counts["keyword"] == {"Colour mixing": 1, "absorbance": 1, "green": 1}
     assert counts["workflow"]["Color_Picker"] == 3
-    for facet, filter_ in (("kind", "kinds"), ("user", "users"), ("keyword", "keywords")):
+    for facet in ("kind", "user", "keyword"):
         for value, count in counts[facet].items():
-            assert ask(url, **{filter_: (value,)}).total == count, (facet, value)
-    assert ask(url, kinds=("run", "result"), users=("ada",)).total == 3
-    assert ask(url, workcells=("rpl",), runs=("R4",)).total == counts["kind"]["image"] + 1
+            assert ask(url, **{facet: (value,)}).total == count, (facet, value)
+    assert ask(url, kind=("run", "result"), user=("ada",)).total == 3
+    assert ask(url, workcell=("rpl",), run=("R4",)).total == counts["kind"]["image"] + 1
     day = START_NS + 86_400_000_000_000
     assert ask(url, since=day).total + ask(url, until=day).total == found.total
     assert names(url, limit=100)[2:5] == names(url, limit=3, offset=2)
@@ -116,7 +116,7 @@ def test_a_question_that_cannot_be_answered_says_why(url: str) -> None:
         with pytest.raises(BadInput, match=said):
             ask(url, words)
     with pytest.raises(BadInput, match="publication"):
-        ask(url, kinds=("thing",))
+        ask(url, kind=("thing",))
     assert ask(url, """x' OR "1" AND NOT (a) NEAR b * ^ : & | ! \\ '' """).total == 0
 
 
@@ -127,7 +127,7 @@ def test_samples_of_a_new_sheet_take_the_place_of_the_old(tmp_path: Path) -> Non
     made = open_audit(url)
     project(GrowingLog(book.records), made)
     made.close()
-    (old,) = ask(url, "water", kinds=("sample",)).entries
+    (old,) = ask(url, "water", kind=("sample",)).entries
     assert (old.name, old.status) == ("P1/B7", "replaced")
     assert names(url, "ethanol") == ["P1/A1"]
 

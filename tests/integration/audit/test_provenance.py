@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from labos.audit import difference
@@ -16,7 +17,7 @@ from labos.audit.difference import list_differences
 from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity
 from labos.audit.liquids import trace_contents
-from labos.audit.provenance import make_plain, subject_of, trace
+from labos.audit.provenance import subject_of, trace
 from labos.audit.query import ReadConnection, open_asker
 from labos.core.labware import LabwareMoved, LiquidDrawn, LiquidTransferred, Sample, SamplesRegistered
 from labos.core.registry import Event, decode
@@ -273,7 +274,7 @@ def test_postgres_gives_the_same_answers(lab: ReadConnection, end: int, postgres
     def describe_graphs(asker: ReadConnection) -> str:
         subjects = ("P1", "P1/B7", "R2", "R2#3", "R2#0", "R2#1", "water", "A-17", "user:ada")
         graphs = [
-            make_plain(trace(asker, subject_of(asker, subject, at), at, direction))
+            msgspec.to_builtins(trace(asker, subject_of(asker, subject, at), at, direction))
             for subject in subjects
             for direction in ("up", "down")
             for at in (end - 2,)

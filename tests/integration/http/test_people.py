@@ -15,7 +15,7 @@ from labos.core.decide.users import AddUser, GrantRole
 from labos.core.users import Role, on_behalf
 from labos.errors import Forbidden, Refused
 from labos.http.access import end_access, request_access
-from labos.http.bodies import NewCampaign, WorkcellFile
+from labos.http.bodies import NewCampaign, NewExperiment, NewRun, WorkcellFile
 from labos.http.campaigns import submit_campaign
 from labos.http.declare import declare_bench
 from labos.http.placing import Placing
@@ -83,15 +83,15 @@ def test_a_refusal_leaves_the_simulated_bench_as_it_is(tmp_path: Path) -> None:
         tries: list[Callable[[], Awaitable[object]]] = [
             lambda: load(service, Load(station="press.nest", labware="plate96", by="ada"), "ada"),
             lambda: declare_bench(service, {"press.nest": ["plate96"]}, "", "ada", empty=False),
-            lambda: service.submit(FLOW, {}, user="ada", place=[NEST]),
-            lambda: service.submit(FLOW, {}, user=on_behalf("robot", "olga"), place=[NEST]),
+            lambda: service.submit(NewRun(workflow=FLOW, user="ada", place=[NEST])),
+            lambda: service.submit(NewRun(workflow=FLOW, user=on_behalf("robot", "olga"), place=[NEST])),
             lambda: end_access(service, "corner", "ada", "", []),
         ]
         for attempt in tries:
             with pytest.raises(Forbidden):
                 await attempt()
         assert (await plates(lab), lab.kernel.state.runs.named) == (0, 0)
-        await service.submit(FLOW, {}, user="olga", place=[NEST])
+        await service.submit(NewRun(workflow=FLOW, user="olga", place=[NEST]))
         assert await plates(lab) == 1
         with pytest.raises(Forbidden):
             await unload(service, Unload(station="press.nest", by="ada"), "ada")
@@ -106,9 +106,9 @@ def test_nothing_is_kept_or_started_for_somebody_who_may_not(tmp_path: Path) -> 
         files = sorted((tmp_path / "lab").rglob("blobs/**/*"))
         campaign = NewCampaign(text=CAMPAIGN, workflow=FLOW, user="vic", dry_run=True)
         tries: list[Callable[[], Awaitable[object]]] = [
-            lambda: service.submit(FLOW, {}, user="vic"),
-            lambda: service.submit(FLOW, {}, user="eve"),
-            lambda: service.start_experiment("app", "vic", FLOW, {}),
+            lambda: service.submit(NewRun(workflow=FLOW, user="vic")),
+            lambda: service.submit(NewRun(workflow=FLOW, user="eve")),
+            lambda: service.start_experiment(NewExperiment(name="app", user="vic", closing=FLOW)),
             lambda: submit_campaign(service, campaign, ""),
             lambda: register_samples(service, "well,sample\nA1,x\n", "s.csv", "vic", station="press.nest"),
             lambda: apply_workcell(service, WorkcellFile(text=CELL, by="olga", dry_run=True), "olga"),
@@ -127,12 +127,12 @@ def test_nothing_is_kept_or_started_for_somebody_who_may_not(tmp_path: Path) -> 
 def test_runs_experiments_and_campaigns_are_the_askers_own(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
         service, state = lab.service, lab.kernel.state
-        run, _ = await service.submit(FLOW, {}, user="ada")
-        mine = await service.start_experiment("app", "ada", None, {})
+        run, _ = await service.submit(NewRun(workflow=FLOW, user="ada"))
+        mine = await service.start_experiment(NewExperiment(name="app", user="ada"))
         with pytest.raises(Forbidden):
             await service.change(run, "cancel", "bo")
         with pytest.raises(Refused):
-            await service.submit(FLOW, {}, user="bo", experiment=mine)
+            await service.submit(NewRun(workflow=FLOW, user="bo", experiment=mine))
         # Whoever keeps it alive, or lets it note something, goes on with it.
         for attempt in (
             lambda: service.note(mine, "decision", "x", {}, "bo"),
@@ -160,7 +160,7 @@ def test_runs_experiments_and_campaigns_are_the_askers_own(tmp_path: Path) -> No
 def test_a_second_person_approves_what_is_dangerous(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
         service, asked = lab.service, lab.kernel.state.interventions
-        run, _ = await service.submit(BURN, {}, user="olga")
+        run, _ = await service.submit(NewRun(workflow=BURN, user="olga"))
         (question,) = asked.find_by_run(run)
         with pytest.raises(Refused, match="second person"):
             await service.resolve(question.id, "approve", "olga", "", None)
@@ -175,7 +175,7 @@ def test_a_second_person_approves_what_is_dangerous(tmp_path: Path) -> None:
 
 def test_the_log_names_a_service_account_and_the_person_it_acts_for(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
-        run, _ = await lab.service.submit(FLOW, {}, user=on_behalf("robot", "ada"))
+        run, _ = await lab.service.submit(NewRun(workflow=FLOW, user=on_behalf("robot", "ada")))
         (record,) = [r for r in lab.store.read() if r.head.type == "run.submitted"]
         assert (record.head.actor, run) == ("robot for ada", record.head.stream)
         assert b'"user":"ada"' in record.payload
@@ -185,7 +185,7 @@ def test_the_log_names_a_service_account_and_the_person_it_acts_for(tmp_path: Pa
 
 def test_a_lab_with_users_starts_again(tmp_path: Path) -> None:
     async def scene(lab: LabRuntime) -> None:
-        await lab.service.start_experiment("app", "ada", None, {})
+        await lab.service.start_experiment(NewExperiment(name="app", user="ada"))
 
     lab_with_people(tmp_path, scene)
 

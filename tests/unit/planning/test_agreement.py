@@ -120,7 +120,7 @@ class Trial:
 
         stock = {name: station.stock[-1] for name, station in bench.stations.items() if station.stock}
         modules = {spec.name: spec for spec in cell.modules}
-        dry = DryRun(Stations(CELL, cell.stations), modules, {}, {}, stock, None, tell, warn)
+        dry = DryRun(Stations(CELL, cell.stations), modules, {}, stock, None, tell, warn)
         dry.variables = {name: at.values for name, at in self.state.modules.by_name.items()}
         nearest_last = (SHARED, USERS, MINE)
         for station in bench.stations.values():

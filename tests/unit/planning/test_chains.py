@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from labos.planning.chains import UNLIMITED, Chain, Fit, Leg, SlotTable
+from labos.planning.chains import Chain, Fit, Leg, SlotTable
 
 SLOTS = 30
 RESOURCES = 4
@@ -24,7 +24,7 @@ def find_ends(table: SlotTable, chain: Chain) -> set[int]:
         first = chain.legs[0].holds if chain.legs else chain.keeps
         ends = {chain.begins} if is_free(table, (*chain.takes, *first), 0, chain.begins) else set()
     for leg in chain.legs:
-        most = SLOTS if leg.most == UNLIMITED else leg.most
+        most = SLOTS if leg.most is None else leg.most
         ends = {
             start + leg.length
             for end in ends
@@ -45,7 +45,7 @@ def draw(rng: random.Random) -> tuple[SlotTable, Chain]:
     for _ in range(rng.randrange(1, 5)):
         takes = tuple(r for r in rng.sample(range(RESOURCES), rng.randrange(3)) if r not in held)
         least = rng.choice([0, 0, 0, 1, 2])
-        most = rng.choice([UNLIMITED, least, least + rng.randrange(6)])
+        most = rng.choice([None, least, least + rng.randrange(6)])
         legs.append(Leg(takes, held, rng.randrange(1, 5), least, most))
         held = tuple(r for r in (*held, *takes) if rng.random() < 0.5)
     begins = rng.choice([None, 0, rng.randrange(6)])
@@ -60,7 +60,7 @@ def assert_fits(table: SlotTable, chain: Chain, fit: Fit) -> None:
     for leg, start in zip(chain.legs, fit.starts, strict=True):
         if end is not None:
             assert start - end >= leg.least
-            assert leg.most == UNLIMITED or start - end <= leg.most
+            assert leg.most is None or start - end <= leg.most
         end = start + leg.length
     assert end == fit.end
 

@@ -224,13 +224,13 @@ def test_what_each_choice_waits_for_is_told() -> None:
 
 
 def test_who_may_take_several_modules_is_kept_from_none_by_those_who_take_one() -> None:
-    """The oldest run is protected on each of its modules once it was passed over too often."""
+    """The oldest run is protected on each of its modules once it was overtaken too often."""
     lab = Driver(CELL)
     lab.stock("stack", 30)
     lab.submit(way("a"), others=(way("b"),))
     lab.scheduler.iterate_proposals(lab.state, lab.now)
     lab.scheduler.room.fill(lab.state)
-    lab.scheduler.room.pass_over(lab.state, lab.run("R1"), PATIENCE)
+    lab.scheduler.room.overtake(lab.state, lab.run("R1"), PATIENCE)
     lab.submit(way("b"))
     lab.pump()
     assert "R1" in lab.state.runs.active

@@ -79,7 +79,7 @@ def test_a_group_has_no_more_of_the_lab_by_due_dates() -> None:
     assert order[:9].count("a") == 6
 
 
-def test_a_run_without_a_due_date_is_not_passed_over_for_ever() -> None:
+def test_a_run_without_a_due_date_is_not_overtakings_for_ever() -> None:
     lab = small()
     old = lab.submit(READ)
     passed: list[str] = []

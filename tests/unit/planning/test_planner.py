@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Mapping
 
 import pytest
@@ -25,11 +26,14 @@ from labos.planner.problem import (
     choose_runs,
     problem_of,
 )
+from labos.planner.rehearsal import OrderRehearsal
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import SECOND, Driver, full, plan, step
+from tests.unit.planning.test_pilot import lab_with, way
 from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
+from tests.unit.planning.test_window_order import hurried
 
 
 def cut(name: str) -> Plan:
@@ -135,7 +139,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     assert order is None or order.steps[0].run == second
 
 
-def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() -> None:
+def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() -> None:
     """One long run and twelve short ones: each ends sooner if the long one is last, and it is not."""
     pytest.importorskip("ortools")
     lab = Driver(CELL)
@@ -147,7 +151,7 @@ def test_a_search_lets_nobody_be_passed_over_more_often_than_the_lab_allows() ->
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE
-    found = solve(replace(problem, passed=(5, *[0] * 12)), 5.0)
+    found = solve(replace(problem, overtaken=(5, *[0] * 12)), 5.0)
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
     assert sum(start < starts[long] for start in starts.values()) == PATIENCE - 5, (
@@ -259,3 +263,35 @@ def test_an_order_for_a_part_of_the_runs_is_rehearsed_with_the_next_ones() -> No
     assert rehearsed[:MOST_WINDOWED] == planned
     assert len({run.id for run in rehearsed}) == MOST_WINDOWED + 5
     assert find_order(Planner(seconds=0.1, solver=lambda *_: None, exact=True), lab) is None
+
+
+def test_a_rehearsal_protects_who_was_overtaken_before() -> None:
+    """The order lets the younger run go first: after eight of these, the lab would not follow it."""
+    lab, elder, younger = waits()
+    order = find_order(Planner(solver=Fixed(younger, elder)), lab)
+    assert order is not None
+
+    def find_first(overtaken: dict[RunId, int]) -> RunId:
+        rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab), overtaken=overtaken)
+        return min((elder, younger), key=rehearsal.go(order).plays[0].starts.__getitem__)
+
+    assert find_first({elder: PATIENCE - 1}) == younger
+    assert find_first({elder: PATIENCE}) == elder
+
+
+@pytest.mark.slow
+def test_where_clocks_run_a_planner_tries_more_orders_than_the_lab_has_time_for() -> None:
+    draws = random.Random("more orders")
+    ways = []
+    for number in range(10):
+        stops = [(name, draws.choice([30.0, 120.0, 240.0])) for name in ("mill", "lathe", "oven")]
+        draws.shuffle(stops)
+        ways.append(hurried(way(f"way {number}", *stops)))
+    lab = lab_with(*ways)
+    waiting = list_waiting(lab.state, "cell")
+    order = find_order(Planner(seconds=0.1, solver=lambda *_: None, exact=True), lab)
+    assert order is not None
+    rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, waiting, drawn=0)
+    with_it, without = (rehearsal.go(each).plays[0] for each in (order, None))
+    assert (with_it.missed, without.missed) == (0, 0)
+    assert max(with_it.ends.values()) < max(without.ends.values())

@@ -482,7 +482,7 @@ def test_a_clock_that_runs_outside_does_not_wait_for_an_elder() -> None:
     elder = lab.submit(picture(takes=300.0), user="bob")
     window = Window(None, 0.0, 100.0, of="dose", of_step="dose")
     hurry = lab.submit(plan(step("cam", windows=(window,))), experiment=experiment)
-    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
+    lab.scheduler.room.overtake(lab.state, lab.run(elder), PATIENCE)
     assert code(lab, elder) == "reserved"
     assert code(lab, hurry) == ""
     assert lab.pump()[0] == f"{hurry}#0"

@@ -310,7 +310,7 @@ def test_a_plan_with_several_first_steps_starts_with_one_that_can() -> None:
 # -- nobody starves ---------------------------------------------------------------------------------
 
 
-def test_a_head_that_was_passed_over_often_enough_is_protected() -> None:
+def test_a_head_that_was_overtakings_often_enough_is_protected() -> None:
     lab = small()
     use_lab_time(lab, bob=1e6)
     blocker = lab.start(lab.submit(QUERY, user="eve"))
@@ -342,7 +342,7 @@ def test_others_are_told_for_whom_they_wait() -> None:
     elder = lab.submit(plan(step("dev"), name="elder"), user="bob")
     lab.start(lab.submit(QUERY, user="eve"))
     young = lab.submit(QUERY, user="ada")
-    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE)
+    lab.scheduler.room.overtake(lab.state, lab.run(elder), PATIENCE)
     free = lab.submit(plan(step("cam")), user="ada")
     lab.finish("A1")
     wait = lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now)
@@ -360,12 +360,12 @@ def test_nobody_waits_for_an_elder_who_cannot_start_anyway(why: str) -> None:
     )
     if why == "paused":
         lab.do(PauseRun(elder))
-    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
+    lab.scheduler.room.overtake(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev"), step("cam")), user="ada")
     assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
     lab.do(CancelRun(elder))
     assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
-    assert elder not in lab.scheduler.room._passed_over["cell"]
+    assert elder not in lab.scheduler.room._overtakings["cell"]
 
 
 def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> None:
@@ -373,7 +373,7 @@ def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> Non
     lab = small()
     lab.do(LoseNode(ModuleName(full("cam")), "i1", "silence"))
     elder = lab.submit(plan(step("dev"), step("cam")), user="bob")
-    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
+    lab.scheduler.room.overtake(lab.state, lab.run(elder), PATIENCE + 1)
     young = lab.submit(plan(step("dev")), user="ada")
     assert lab.scheduler.check_start(lab.state, lab.run(young), 0, lab.now) is None
     wait = lab.scheduler.check_start(lab.state, lab.run(elder), 0, lab.now)
@@ -389,7 +389,7 @@ def test_nobody_waits_for_an_elder_who_waits_for_an_application() -> None:
     name = lab.experiment(closing=route("a", "trash"))
     lab.step(lab.submit(route("stack", "a"), experiment=name))
     elder = lab.submit(route("stack", "b", "a", "trash"), user="bob")
-    lab.scheduler.room.pass_over(lab.state, lab.run(elder), PATIENCE + 1)
+    lab.scheduler.room.overtake(lab.state, lab.run(elder), PATIENCE + 1)
     again = lab.submit(route("a", "b", "a"), experiment=name)
     assert lab.pump() == [f"{again}#0"]
 

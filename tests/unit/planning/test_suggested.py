@@ -157,7 +157,7 @@ def test_what_is_no_order_is_refused() -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_bad_advice_stops_nobody(seed: int) -> None:
     """Random orders, past and future, of runs that exist or not, again and again: every run comes to its end,
-    and nothing that could start is passed over."""
+    and nothing that could start is left out."""
     rng = random.Random(f"advice/{seed}")
     lab = Driver(CELL)
     lab.stock("stack", 80)

@@ -37,7 +37,7 @@ def test_actions_and_states_are_shown(shown: MetricsServer) -> None:
         return httpx.get(f"http://{shown.address}/metrics", headers={"accept": "text/plain"}).text
 
     async def body() -> str:
-        shown.metrics.watch(Sealer(), asyncio.get_running_loop())
+        shown.metrics.watch(Sealer().state, asyncio.get_running_loop())
         return await asyncio.to_thread(ask)
 
     shown.metrics.on_end("seal", Outcome(True, "all", started_ns=10**9, ended_ns=5 * 10**9))
