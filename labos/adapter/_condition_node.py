@@ -22,11 +22,11 @@ class ConditionNode(ForeignNode):
         return is_fulfilled(condition, await self.read(condition.pv))
 
     @property
-    def tells_busy(self) -> bool:
+    def reports_busy(self) -> bool:
         return bool(self.mapping.state.busy)
 
     async def is_idle(self) -> bool:
-        if not self.tells_busy:
+        if not self.reports_busy:
             return await super().is_idle()
         seen = [(condition, await self.read(condition.pv)) for condition in self.mapping.state.busy]
         return not any(is_fulfilled(condition, now) or leaves_open(condition, now) for condition, now in seen)
