@@ -207,7 +207,7 @@ class WindowOrders:
         come = {*members[1]} - {*(known[1] if known is not None else ())}
         search.tried = max(0, search.tried - ENOUGH_EACH * len(come))
         search.members, search.looked, before = members, now, search.line
-        found = self._search(state, cell, inside, waiting, overtakings, now, tries)
+        found = self._search(state, cell, inside, waiting, overtakings, now, tries, seed=now)
         if found is None:
             search.line = None
             return self.orders.pop(cell, None) is not None
@@ -234,8 +234,9 @@ class WindowOrders:
         waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None
         self._searches.setdefault(cell, CellSearch())
-        for _ in range(0, tries, CYCLE):
-            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE))
+        for tried in range(0, tries, CYCLE):
+            seed = now + tried * BREATH_NS  # other draws in each cycle, as if time went by
+            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE), seed)
             if found is None:
                 return None
         return found
@@ -249,6 +250,7 @@ class WindowOrders:
         overtakings: Callable[[RunId], float],
         now: int,
         tries: int,
+        seed: int,
     ) -> OrderSuggested | None:
         plans = {run.plan for run in (*inside, *waiting)}
         if len(plans) < 2 or not all(state.runs.plans[name].windowed for name in plans):
@@ -264,7 +266,7 @@ class WindowOrders:
         found = self._searches[cell]
         known = [name for name in found.line or () if name in layout.members]
         new = [name for name in layout.members if name not in known]
-        search = _Search(layout, now)
+        search = _Search(layout, seed)
         by_work = sorted(
             layout.members, key=lambda n: (not layout.members[n].run.has_started, -search.work(n))
         )
