@@ -23,7 +23,7 @@ BATCH = 10_000
 
 _log = structlog.get_logger(__name__)
 
-Tell = Callable[[int, int], None]
+ShowProgress = Callable[[int, int], None]
 """Called with the position of the tables and of the log."""
 
 
@@ -42,7 +42,7 @@ class Projector:
         self._remembered = Mark()
         """The mark to which the rows in memory belong."""
 
-    def catch_up(self, tell: Tell | None = None) -> int:
+    def catch_up(self, show_progress: ShowProgress | None = None) -> int:
         """Project all events in the log; returns its position. Tables of another log, or with more events
         than this one, are made again; so are tables that may contain words which were erased since. Raises
         StoreUnavailable, LogTooNew, LogDamaged."""
@@ -61,8 +61,8 @@ class Projector:
                 except _WordsErased:
                     mark = self._forget_erased()
                     begun = 0  # records that are read from now on do not contain them
-                if tell is not None:
-                    tell(mark.position, head.position)
+                if show_progress is not None:
+                    show_progress(mark.position, head.position)
         return mark.position
 
     def _carry(self, mark: Mark, upto: int, begun: int) -> Mark:

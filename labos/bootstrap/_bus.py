@@ -48,7 +48,7 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
         runs_bus=not settings.bus,
         own=settings.certificate,
         modules=run_here,
-        tell=lab.note_unheard,
+        note_unheard=lab.note_unheard,
     )
     return await asyncio.to_thread(lab.guard.prepare, modules)
 

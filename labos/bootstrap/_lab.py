@@ -188,10 +188,10 @@ def _check_log(settings: Settings, kernel: Kernel) -> LogCheck:
     """Checks the whole log in the background. After a damage is found, no action starts any more, because the
     lab's state may be wrong. A person decides how to continue."""
 
-    def check(tell: Callable[[int, int], None]) -> Damage | None:
+    def check(show_progress: Callable[[int, int], None]) -> Damage | None:
         reader = open_store(settings.database, create=False, read_only=True)
         try:
-            return find_first_damage(reader, tell, every=CHECKED_AT_ONCE)
+            return find_first_damage(reader, show_progress, every=CHECKED_AT_ONCE)
         finally:
             reader.close()
 

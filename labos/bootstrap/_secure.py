@@ -43,10 +43,10 @@ class Guard:
         runs_bus: bool,
         own: Path | None = None,
         modules: Callable[[], Iterable[str]] = lambda: (),
-        tell: Callable[[Unheard], None] = lambda _: None,
+        note_unheard: Callable[[Unheard], None] = lambda _: None,
     ) -> None:
         self.who, self._settings, self._own = who, settings, own
-        self._runs_bus, self._modules, self._tell = runs_bus, modules, tell
+        self._runs_bus, self._modules, self._note_unheard = runs_bus, modules, note_unheard
         self.authority = Authority(settings.pki)
         self._used: State = ()
         self._reported: set[str] = set()
@@ -195,7 +195,7 @@ class Guard:
             if name not in self._reported:
                 _log.warning("certificate_not_admitted", cn=name)
         self._reported = {entry.common_name for entry in unheard.silent} | set(unheard.unknown)
-        self._tell(unheard)
+        self._note_unheard(unheard)
 
     def _state(self) -> State:
         """The data with which a session is opened: its certificate, and the rights of all parties."""

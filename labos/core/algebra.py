@@ -88,7 +88,7 @@ class BenchLookup(Protocol[Asked, Why]):
     def stock(self, what: Asked, stack: StationName) -> Why | None:
         """Whether a nameless item lies on top of a stack."""
 
-    def check_stands(self, what: Asked, place: StationName) -> Why | None:
+    def check_presence(self, what: Asked, place: StationName) -> Why | None:
         """Whether labware stands at a place that may be used; on a stack, as the topmost."""
 
     def check_hand(self, what: Asked) -> Why | None:
@@ -146,7 +146,7 @@ def check_standing(bench: BenchLookup[Thing, Reason], what: Thing) -> Reason | N
         if why is not None:
             return why
     for place in what.stands:
-        why = bench.check_stands(what, place)
+        why = bench.check_presence(what, place)
         if why is not None:
             return why
     return None

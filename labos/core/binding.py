@@ -60,7 +60,7 @@ def find_unfit_labware(state: LabState, run: RunState, step: PlanStep) -> Wait |
         wait: Wait | None = None
         match effect:
             case Carrying() if effect.stands and not any(
-                start.check_stands(effect, p) for p in effect.stands
+                start.check_presence(effect, p) for p in effect.stands
             ):
                 wait = start.check_fits(effect)
             case Needs():
@@ -111,7 +111,7 @@ class StartCheck:
             return Wait(reasons.ReachedInto(stack), list_keys_until_free(self.state, stack))
         return None
 
-    def check_stands(self, what: Carrying, place: StationName) -> Wait | None:
+    def check_presence(self, what: Carrying, place: StationName) -> Wait | None:
         item = find_usable(self.state, self.run, place, self._used)
         if item is not None:
             self._found[place] = item

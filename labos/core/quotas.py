@@ -50,7 +50,7 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
             return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,))
         if not (quota.lab_hours or quota.consumables):
             continue
-        planned = _sum_under_way(state, _list_users(state, whose, run.user), now)
+        planned = _sum_in_progress(state, _list_users(state, whose, run.user), now)
         hours = had.week.sum_lab_ns(now) * state.lab.pace / 3.6e12 + planned.hours
         if quota.lab_hours and hours >= quota.lab_hours:
             what = f"{quota.lab_hours:g} lab hours a week"
@@ -79,7 +79,7 @@ def _list_users(state: LabState, whose: str, user: str) -> Collection[str]:
     return (user,) if whose == user or group is None else group.members
 
 
-def _sum_under_way(state: LabState, users: Collection[str], now: int) -> _Planned:
+def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> _Planned:
     """A step under way counts with its planned duration, or with its real duration so far if that is
     longer."""
     seconds, amounts = 0.0, dict[str, float]()

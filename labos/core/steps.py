@@ -89,7 +89,7 @@ def fold_action_requested(runs: Runs, event: ActionRequested, at: int) -> None:
         runs.active[event.run].steps[event.step].status = IN_FLIGHT
 
 
-def fold_action_under_way(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
+def fold_action_in_progress(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
     _mark(runs, event.run, event.step, IN_FLIGHT)
 
 

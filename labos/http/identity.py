@@ -200,8 +200,8 @@ class Gate:
             )
 
     def _report_refusal(self, request: Request, error: LabosError) -> None:
-        for tell in self.on_refusal:
-            tell("not_signed_in" if isinstance(error, NotSignedIn) else "forbidden")
+        for listener in self.on_refusal:
+            listener("not_signed_in" if isinstance(error, NotSignedIn) else "forbidden")
         address = request.client.host if request.client is not None else ""
         _log.info("request_refused", path=request.url.path[:200], address=address, why=error.message)
 

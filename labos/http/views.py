@@ -31,7 +31,7 @@ from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
 from labos.planning.due import find_time_left
-from labos.planning.forecast import find_setup_under_way
+from labos.planning.forecast import find_setup_in_progress
 from labos.planning.obstacle import explain_wait
 from labos.runtime.followed import FoldedLab
 from labos.services.interventions import describe_whereabouts
@@ -405,7 +405,7 @@ def _make_step_view(
     left_s = None
     if action is not None and action.status != "unknown":
         gone_s = (now - action.requested_at) / 1e9 * state.lab.pace
-        takes_s = step.duration_s + find_setup_under_way(state, action) / 1e9 * state.lab.pace
+        takes_s = step.duration_s + find_setup_in_progress(state, action) / 1e9 * state.lab.pace
         left_s = round(max(takes_s - gone_s, 0.0), 1)
     return StepView(
         step=index,

@@ -26,7 +26,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
 from labos.planner.lengths import estimate_at_level
 from labos.planner.measure import rate_runs
-from labos.planning.forecast import find_setup_under_way
+from labos.planning.forecast import find_setup_in_progress
 from labos.planning.taken import count_room, find_station, is_deck, list_counted_keys, list_taken
 
 MOST_WAITING = 30
@@ -258,7 +258,7 @@ class _Reader:
     def _find_left_s(self, run: RunState, index: int, step: PlanStep) -> float:
         for action in self.state.actions.list_in_cell(self.state.runs.plan_of(run).workcell):
             if action.run == run.id and action.step == index and action.status != ActionStatus.UNKNOWN:
-                gone_ns = self.now - action.requested_at - find_setup_under_way(self.state, action)
+                gone_ns = self.now - action.requested_at - find_setup_in_progress(self.state, action)
                 return max(self._estimate_s(step) - gone_ns / 1e9 * self.state.lab.pace, LEAST_S)
         return LEAST_S
 

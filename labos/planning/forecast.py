@@ -50,7 +50,7 @@ def find_setup_ns(state: LabState, step: PlanStep) -> int:
     return convert_lab_s(state, module.spec.setup.compute_cost_s(module.set_up_for, step.args))
 
 
-def find_setup_under_way(state: LabState, action: Action) -> int:
+def find_setup_in_progress(state: LabState, action: Action) -> int:
     """How much longer an action in flight takes, as its module is set up for it first (ns of wall time)."""
     flight = state.modules.by_name[action.module].in_flight.get(action.id)
     return convert_lab_s(state, flight.setup_s) if flight is not None and flight.setup_s else 0

@@ -179,7 +179,7 @@ class _Clearing:
     def stock(self, what: Carrying, stack: StationName) -> None:
         self.search.add_occupants(stack, self.run)
 
-    def check_stands(self, what: Carrying, place: StationName) -> None:
+    def check_presence(self, what: Carrying, place: StationName) -> None:
         """Of others' labware on a hotel or a nest it is not known whether it is in the way."""
 
     def check_fits(self, what: Carrying) -> None:

@@ -35,7 +35,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
     def stock(self, what: Motion, stack: StationName) -> bool | None:
         return self.floor.stock.get(stack, 0) <= 0 or bool(self.floor.piles.get(stack)) or None
 
-    def check_stands(self, what: Motion, place: StationName) -> bool | None:
+    def check_presence(self, what: Motion, place: StationName) -> bool | None:
         floor, actor = self.floor, self.actor
         number = what.stands.count(place)
         if place in floor.piles:

@@ -100,8 +100,8 @@ class Met:
             return f"takes from the stack {local(stack)}, which is empty by then"
         return self._describe_buried(stack)
 
-    def check_stands(self, what: Motion, place: StationName) -> str | None:
-        if not self.mover.check_stands(what, place):
+    def check_presence(self, what: Motion, place: StationName) -> str | None:
+        if not self.mover.check_presence(what, place):
             return None
         owners = [self.floor.pools.get(owner, {}) for owner in self.actor.inputs]
         if not any(places.get(place) for places in (self.actor.own, *owners)):

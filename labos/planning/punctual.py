@@ -15,7 +15,7 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_setup_under_way, find_usual_time, is_pending
+from labos.planning.forecast import find_setup_in_progress, find_usual_time, is_pending
 from labos.planning.player import Player, Step
 from labos.planning.rehearsal import Advice, play
 from labos.planning.scene import Scene
@@ -76,7 +76,7 @@ def _goes_as_suggested(
         if acting is None:
             return False
         takes = find_usual_time(state, state.runs.plan_of(acting).steps[action.step])
-        if action.requested_at + takes + find_setup_under_way(state, action) < late:
+        if action.requested_at + takes + find_setup_in_progress(state, action) < late:
             return False
     return True
 

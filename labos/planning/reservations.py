@@ -36,7 +36,7 @@ from labos.planning.forecast import (
     find_earliest_start,
     find_longest_time,
     find_pending_before,
-    find_setup_under_way,
+    find_setup_in_progress,
     find_spread,
     find_usual_time,
     is_pending,
@@ -302,7 +302,7 @@ def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
         run = state.runs.active.get(action.run)
         if run is not None:
             takes = find_longest_time(state, state.runs.plan_of(run).steps[action.step])
-            yield action, action.requested_at + takes + find_setup_under_way(state, action)
+            yield action, action.requested_at + takes + find_setup_in_progress(state, action)
 
 
 def _make_reservation(

@@ -30,7 +30,7 @@ from labos.core.runs import DONE, SETTLED, RunState
 from labos.core.state import LabState
 from labos.core.waits import list_party
 from labos.core.zones import find_zones
-from labos.planning.forecast import find_setup_under_way, find_usual_time
+from labos.planning.forecast import find_setup_in_progress, find_usual_time
 from labos.planning.layout import is_down
 from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
@@ -72,7 +72,8 @@ class Scene:
                 continue
             step = state.runs.plan_of(run).steps[action.step]
             end = max(
-                now, action.requested_at + find_usual_time(state, step) + find_setup_under_way(state, action)
+                now,
+                action.requested_at + find_usual_time(state, step) + find_setup_in_progress(state, action),
             )
             effects = tuple(rename_places(e, bench.find_planned_place) for e in action.effects)
             end = FAR if action.status == ActionStatus.UNKNOWN else end
@@ -303,7 +304,7 @@ class Turn:
         left = len(self.stations[stack].stock) - self.scene.drawn.get(stack, 0)
         return None if left >= number else NOBODY
 
-    def check_stands(self, what: Carrying, place: StationName) -> Who | None:
+    def check_presence(self, what: Carrying, place: StationName) -> Who | None:
         there = self.scene.standing.get(place, [])
         number = self._leaving.get(place, 0) + 1
         if place == what.emptied:

@@ -47,7 +47,7 @@ from labos.core.steps import WindowBreached
 from labos.core.topics import PlannedWork
 from labos.core.users import LABOS
 from labos.core.waits import Wait
-from labos.planning.forecast import find_setup_under_way
+from labos.planning.forecast import find_setup_in_progress
 from labos.planning.obstacle import explain_wait
 from labos.planning.own_order import OwnOrder
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
@@ -327,7 +327,7 @@ class VirtualLab:
         if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
-        end = action.requested_at + self._lasts(action, step) + find_setup_under_way(self.state, action)
+        end = action.requested_at + self._lasts(action, step) + find_setup_in_progress(self.state, action)
         if action.together:  # its device ends them all at once: with the first of them
             end = self._ends.setdefault(action.together[0], end)
         if end <= self.now:

@@ -488,7 +488,7 @@ def _make_member(
 ) -> PlannedRun | None:
     statuses = run.statuses if run.has_started else []
     first, begins, held = 0, None, dict[int, int]()
-    under_way: tuple[int, ...] = ()
+    in_progress: tuple[int, ...] = ()
     plan = state.runs.plan_of(run)
     end = now
     for number, index in enumerate(line.steps if statuses else ()):
@@ -503,17 +503,17 @@ def _make_member(
         if status != IN_FLIGHT or action is None or action.status == ActionStatus.UNKNOWN:
             return None
         end = max(now, action.requested_at + durations[index])
-        under_way = tasks[index].takes
+        in_progress = tasks[index].takes
     if statuses:
         if any(statuses[index] != PENDING for index in line.steps[first:]):
             return None
         begins = _up(end - now, slot)
-        for index in line.steps[first - 1 : first] if under_way else ():
+        for index in line.steps[first - 1 : first] if in_progress else ():
             frees = tasks[index].frees
             after = dict(held)
             for key in frees:
                 after[key] = after.get(key, 0) - 1
-            under_way = (*under_way, *(key for key in frees if ways.room[key] == 1))
+            in_progress = (*in_progress, *(key for key in frees if ways.room[key] == 1))
             held = after
     legs: list[Leg] = []
     for number in range(first, len(line.steps)):
@@ -537,7 +537,7 @@ def _make_member(
         )
         _carry(held, task, is_over=True)
     keeps = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
-    return PlannedRun(run, first, line, Chain(tuple(legs), begins, under_way, keeps), end)
+    return PlannedRun(run, first, line, Chain(tuple(legs), begins, in_progress, keeps), end)
 
 
 def _carry(held: dict[int, int], task: Task, *, is_over: bool) -> None:

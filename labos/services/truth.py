@@ -29,7 +29,7 @@ def list_differences(
     pieces = [item for item in state.bench.labware.values() if workcell in ("", workcell_of(item.station))]
     carried = {item.id: way for item in pieces if (way := _list_possible_places(state, item))}
     for labware, way in carried.items():
-        found += _take_under_way(way, labware, plates.get(labware, labware), places)
+        found += _take_in_progress(way, labware, plates.get(labware, labware), places)
     for name, station in state.bench.stations.items():
         if station.spec.kind == "waste" or name in state.bench.shelves:
             continue
@@ -77,7 +77,7 @@ def _list_possible_places(state: LabState, item: Labware) -> list[str]:
     return [*places, f"hand:{local(action.module)}"] if places else []
 
 
-def _take_under_way(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
+def _take_in_progress(way: list[str], name: str, plate: str, places: dict[str, list[str]]) -> list[str]:
     """Labware that is being carried may be at any place on its way; the log does not say which. It is removed
     from ``places``."""
     here = next((place for place, standing in places.items() if plate in standing), "")

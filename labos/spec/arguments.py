@@ -15,13 +15,13 @@ from labos.core.model import ActionSpec, Arg
 from labos.spec.durations import SECONDS, match_quantity
 from labos.spec.findings import suggest_name
 
-Tell = Callable[[str, str, str], None]
+AddFinding = Callable[[str, str, str], None]
 """Called with an argument's written name (empty for the action itself), the fault, and a remedy."""
 
 _TEMPERATURE = ("C", "°C", "degC", "celsius")
 
 
-def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str, Any]:
+def bind(action: ActionSpec, written: Mapping[str, Any], add_finding: AddFinding) -> dict[str, Any]:
     """The arguments under their own names, with defaults filled in. An optional argument with an empty value
     is left out. Faults go to ``tell``."""
     bound: dict[str, Any] = {}
@@ -29,24 +29,26 @@ def bind(action: ActionSpec, written: Mapping[str, Any], tell: Tell) -> dict[str
     for name, value in written.items():
         arg = by_name.get(name)
         if arg is None:
-            tell(
+            add_finding(
                 name,
                 f"The action {action.name!r} has no argument {name!r}.",
                 suggest_name(name, [arg.name for arg in action.args], "argument"),
             )
         elif arg.name in bound:
-            tell(name, f"The argument {arg.name!r} is given twice, once as {name!r}.", "Remove one of them.")
+            add_finding(
+                name, f"The argument {arg.name!r} is given twice, once as {name!r}.", "Remove one of them."
+            )
         elif value is None and not arg.required:
             continue
         else:
-            bound[arg.name] = _check(arg, name, value, tell)
+            bound[arg.name] = _check(arg, name, value, add_finding)
     for arg in action.args:
         if (
             arg.name not in bound
             and arg.required
             and not any(name in written for name in (arg.name, *arg.aliases))
         ):
-            tell("", f"The action {action.name!r} needs the argument {arg.name!r}.", _explain_how(arg))
+            add_finding("", f"The action {action.name!r} needs the argument {arg.name!r}.", _explain_how(arg))
         elif arg.name not in bound and arg.default is not None:
             bound[arg.name] = arg.default
     return bound
@@ -57,7 +59,7 @@ def is_later(value: Any) -> bool:
     return isinstance(value, dict) and "$result" in value
 
 
-def _check(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
+def _check(arg: Arg, name: str, value: Any, add_finding: AddFinding) -> Any:
     if is_later(value):
         return value
     try:
@@ -67,7 +69,7 @@ def _check(arg: Arg, name: str, value: Any, tell: Tell) -> Any:
     except ValueError as error:
         problem = str(error)
     if problem:
-        tell(name, f"{_describe_name(arg, name)} {problem}.", _explain_how(arg))
+        add_finding(name, f"{_describe_name(arg, name)} {problem}.", _explain_how(arg))
     return value
 
 

@@ -11,13 +11,13 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.leaving import BenchOfRun, find_way_out, list_steps_out
 from labos.core.model import Plan
 from labos.spec.dryrun import DryRun
-from labos.spec.paper import Tell
+from labos.spec.paper import AddFinding
 
 
 class CancelPaths:
     """Reports each finding once: faults to ``error``; labware that is left in the way to ``warning``."""
 
-    def __init__(self, plan: Plan, error: Tell, warning: Tell) -> None:
+    def __init__(self, plan: Plan, error: AddFinding, warning: AddFinding) -> None:
         self.plan, self.error, self.warning = plan, error, warning
         self.steps = list_steps_out(plan)
         self._seen: set[Any] = set()
@@ -39,13 +39,13 @@ class CancelPaths:
         self._seen.add(mark)
         key = self.plan.steps[last].key
 
-        def tell(index: int, message: str, remedy: str) -> None:
+        def add_finding(index: int, message: str, remedy: str) -> None:
             if (index, message) not in self._reported:
                 self._reported.add((index, message))
                 self.error(index, f"After a cancellation that follows {key!r}: {message}", remedy)
 
         steps = find_way_out(self.plan, find_bench_on_paper(dry))
-        out = dry.copy(tell)
+        out = dry.copy(add_finding)
         out.run([(index, self.plan.steps[index]) for index in steps])
         for place in set(out.list_outputs()) - self._left:
             if not out.stations[place].is_storage:

@@ -137,8 +137,8 @@ class _StationCompiler:
         """Taught places, and the arms that can reach them."""
         for owner, places in self.file.locations.items():
             if owner not in self.modules and owner != "workcell":
-                tell = self.remarks.add_warning if self.foreign else self.remarks.error
-                tell(
+                add_finding = self.remarks.add_warning if self.foreign else self.remarks.error
+                add_finding(
                     f"Locations are given for {owner!r}, which is not a module of this workcell.",
                     ("locations", owner),
                     suggest_name(owner, self.modules, "module"),

@@ -103,7 +103,7 @@ class DryRunStep:
                 f"Fill it and report that: labos load {local(stack)} --type TYPE --count N --lot LOT",
             )
 
-    def check_stands(self, what: Carrying, place: StationName) -> None:
+    def check_presence(self, what: Carrying, place: StationName) -> None:
         used = [piece for _, piece, _ in self._hauls if piece is not None]
         self._found[place] = self.paper.find_labware_at(self.index, place, used)
         self._check_told_apart(what, place)

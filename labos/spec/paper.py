@@ -11,7 +11,7 @@ from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import LabwareSpec, ModuleSpec, StationSpec
 from labos.spec.stations import Stations
 
-Tell = Callable[[int, str, str], None]
+AddFinding = Callable[[int, str, str], None]
 """Called with the index of a step, its fault, and a remedy."""
 
 UNKNOWN: Any = object()
@@ -48,8 +48,8 @@ class Paper:
         labware: Mapping[str, LabwareSpec],
         stock: Mapping[StationName, str],
         counts: dict[StationName, int] | None,
-        error: Tell,
-        warning: Tell,
+        error: AddFinding,
+        warning: AddFinding,
     ) -> None:
         self.stations, self.modules, self.labware = stations, modules, labware
         self.stock, self.counts, self.error, self.warning = stock, counts, error, warning
@@ -64,7 +64,7 @@ class Paper:
         self.variables = {name: dict(module.rest) for name, module in modules.items()}
         self.taught = {arm for station in stations.by_name.values() for arm in station.reach}
 
-    def copy(self, error: Tell) -> Self:
+    def copy(self, error: AddFinding) -> Self:
         """A copy of the present bench for a trial; faults go to ``error``."""
         counts = None if self.counts is None else dict(self.counts)
         other = type(self)(self.stations, self.modules, self.labware, self.stock, counts, error, error)

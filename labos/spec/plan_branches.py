@@ -18,9 +18,9 @@ from labos.core.ids import StationName, local
 from labos.core.model import OnError, Plan
 from labos.core.runs import list_rescue_steps
 from labos.spec.dryrun import DryRun
-from labos.spec.paper import Tell
+from labos.spec.paper import AddFinding
 
-Paper = Callable[[Plan, Sequence[int], Tell, Tell], DryRun]
+Paper = Callable[[Plan, Sequence[int], AddFinding, AddFinding], DryRun]
 """Carries out some of a plan's steps in a dry run, in this order, and reports errors and warnings."""
 
 Fault = tuple[int, str, str]
@@ -136,7 +136,7 @@ class PlanBranches:
         during the run."""
         faults: list[Fault] = []
 
-        def tell(index: int, message: str, remedy: str) -> None:
+        def add_finding(index: int, message: str, remedy: str) -> None:
             faults.append((index, message, remedy))
 
         def warn(index: int, message: str, remedy: str) -> None:
@@ -146,7 +146,7 @@ class PlanBranches:
                 faults.append((index, message, remedy))
 
         plain = way.plain and not way.decisions
-        dry = self.paper(self.plan, way.steps, tell, warn)
+        dry = self.paper(self.plan, way.steps, add_finding, warn)
         if not plain:
             spare = list(self.inputs)
             for place in dry.inputs:

@@ -12,7 +12,7 @@ from labos.core.model import LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import BenchFile
 from labos.spec.cancel_paths import CancelPaths
 from labos.spec.dryrun import DryRun
-from labos.spec.paper import UNKNOWN, Tell
+from labos.spec.paper import UNKNOWN, AddFinding
 from labos.spec.plan_branches import PlanBranches, find_first_way
 from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
@@ -40,7 +40,7 @@ class InitialBench:
             assert self.counts is not None
             self.counts[place] = self.counts.get(place, 0) + item.count
 
-    def make_dry_run(self, error: Tell, warning: Tell) -> DryRun:
+    def make_dry_run(self, error: AddFinding, warning: AddFinding) -> DryRun:
         """A dry run that has not begun."""
         counts = None if self.counts is None else dict(self.counts)
         dry = DryRun(self.stations, self.modules, self.labware, self.stock, counts, error, warning)
@@ -92,18 +92,18 @@ class PlanCheck:
             dry = self.bench.make_dry_run(_ignore, _ignore)
             dry.run([(index, plan.steps[index]) for index in way.steps], partial(out.try_out, dry))
 
-    def _run(self, plan: Plan, order: Sequence[int], error: Tell, warning: Tell) -> DryRun:
+    def _run(self, plan: Plan, order: Sequence[int], error: AddFinding, warning: AddFinding) -> DryRun:
         dry = self.bench.make_dry_run(error, warning)
         dry.run([(index, plan.steps[index]) for index in order])
         return dry
 
-    def _make_reporter(self, *, certain: bool) -> Tell:
+    def _make_reporter(self, *, certain: bool) -> AddFinding:
         say = self.remarks.error if certain else self.remarks.add_warning
 
-        def tell(index: int, message: str, remedy: str) -> None:
+        def add_finding(index: int, message: str, remedy: str) -> None:
             say(f"Step {self.steps.keys[index]!r}: {message}", ("steps", index), remedy)
 
-        return tell
+        return add_finding
 
 
 def _ignore(index: int, message: str, remedy: str) -> None:

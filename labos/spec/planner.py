@@ -307,7 +307,7 @@ class StepPlanner:
 
         taught = _find_taught(module)
 
-        def tell(name: str, message: str, remedy: str) -> None:
+        def add_finding(name: str, message: str, remedy: str) -> None:
             if name not in broken:
                 if close := _find_nearly_same(taught, written.get(name)):
                     message = f"{message.rstrip('.')}; {close}."
@@ -315,7 +315,7 @@ class StepPlanner:
                 unknown = bool(name) and name not in known
                 self.remarks.error(f"Step {entry.name!r}: {message}", at, remedy, key=unknown)
 
-        args = bind(action, _with_places(taught, action, written), tell)
+        args = bind(action, _with_places(taught, action, written), add_finding)
         for arg in action.args:
             value = args.get(arg.name)
             at = (*path, "args", *[name for name in entry.args if name in (arg.name, *arg.aliases)][:1])

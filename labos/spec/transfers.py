@@ -41,7 +41,7 @@ class _Reader:
         foreign: bool,
     ) -> None:
         self.file, self.drivers, self.stations = file, drivers, stations
-        self.tell = remarks.add_warning if foreign else remarks.error
+        self.add_finding = remarks.add_warning if foreign else remarks.error
         self.has_fault = False
 
     def read_way(self, entry: TransferEntry, path: Path_) -> TransferWay | None:
@@ -86,4 +86,4 @@ class _Reader:
 
     def _add_fault(self, message: str, path: Path_, remedy: str) -> None:
         self.has_fault = True
-        self.tell(message, path, remedy)
+        self.add_finding(message, path, remedy)

@@ -276,8 +276,10 @@ class _Modules:
                 why, at, suggest_name(entry.interface, (*REACHED, *PLANNED, "native"), "interface")
             )
         for key in list_missing_keys(entry.interface, entry.config):
-            tell = self.remarks.add_warning if self.foreign else self.remarks.error
-            tell(f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`.")
+            add_finding = self.remarks.add_warning if self.foreign else self.remarks.error
+            add_finding(
+                f"{entry.interface} needs `{key}`.", (*path, "config"), f"Write `{key}:` below `config:`."
+            )
         if entry.interface in MAPPINGS:
             key, find_flaw = MAPPINGS[entry.interface]
             written = entry.config.get(key)
@@ -302,9 +304,9 @@ class _Modules:
         if driver:
             serving = list_drivers(entry.model, self.descriptions) if entry.model else []
             if len(serving) > 1:
-                tell = self.remarks.add_warning if self.foreign else self.remarks.error
+                add_finding = self.remarks.add_warning if self.foreign else self.remarks.error
                 message = f"The model {entry.model!r} has several drivers: {', '.join(serving)}."
-                tell(message, (*path, "model"), f"Choose one: `driver: {driver}`.")
+                add_finding(message, (*path, "model"), f"Choose one: `driver: {driver}`.")
             return driver
         remedy = "Add `model:` or `driver:`."
         if entry.model:

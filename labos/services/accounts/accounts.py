@@ -235,13 +235,13 @@ class Accounts:
         for digest, (credential, _) in list(self._known.items()):
             if which(credential):
                 del self._known[digest]
-        for tell in self.on_end:
-            tell(which)
+        for listener in self.on_end:
+            listener(which)
 
     def count_try(self, outcome: str) -> None:
         """Report an attempt to sign in, at the lab or with an identity provider."""
-        for tell in self.on_try:
-            tell(outcome)
+        for listener in self.on_try:
+            listener(outcome)
 
     async def _ask(self, work: Callable[..., R], *args: object) -> R:
         return await asyncio.to_thread(work, *args)
