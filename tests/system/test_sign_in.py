@@ -140,6 +140,15 @@ def look_into_copies(folder: Path, secrets: set[str]) -> None:
             assert secret.encode() not in content, f"{secret} in {name}"
 
 
+def read_of_children(parent: int, name: str) -> list[str]:
+    """A file of /proc for each process of a lab. All are read again if one has ended meanwhile."""
+    while True:
+        try:
+            return [Path(f"/proc/{pid}/{name}").read_text(errors="replace") for pid in children_of(parent)]
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+
+
 def look_everywhere(lab: Up, folder: Path, secrets: set[str], key: str) -> None:
     """Secrets are neither in the lab's folder nor in its log nor in what processes were started with, and
     names are in no event."""
@@ -155,13 +164,12 @@ def look_everywhere(lab: Up, folder: Path, secrets: set[str], key: str) -> None:
     for record in lab.records():
         assert b"nmistakable" not in record.payload
     assert lab.process is not None
-    lines = [Path(f"/proc/{pid}/cmdline").read_text() for pid in children_of(lab.process.pid)]
+    lines = read_of_children(lab.process.pid, "cmdline")
     assert len(lines) > 3
     for line in lines:
         assert not any(secret in line for secret in (*secrets, key, NAME, MAIL, OF_DEVICE)), line
-    for pid in children_of(lab.process.pid):  # only a device's own secret stands in an environment
-        inherited = Path(f"/proc/{pid}/environ").read_text(errors="replace")
-        assert not any(secret in inherited for secret in (*secrets, key, NAME, MAIL)), pid
+    for inherited in read_of_children(lab.process.pid, "environ"):  # a device's own secret may stand there
+        assert not any(secret in inherited for secret in (*secrets, key, NAME, MAIL)), inherited
     with lab.client() as client:
         abouts: list[dict[str, Any]] = [dict(event) for event in client.events(type="node.joined")]
         told = json.dumps([abouts, client.state(), client.users(), client.health()])
