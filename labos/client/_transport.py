@@ -129,6 +129,8 @@ class Transport(Calls):
                 base = self._find_base()
                 headers = {**own, **self._make_headers(base)}
                 response = self._http.request(method, base + API + path, headers=headers, **options)
+                if self._http.is_closed:  # while this request was connecting: its connection was not closed
+                    response.extensions["network_stream"].close()
             except (httpx.ConnectError, httpx.ConnectTimeout) as error:
                 why: Exception = error
             except httpx.TransportError as error:
