@@ -96,7 +96,7 @@ def test_what_the_topic_says_goes_before_what_is_kept(broker: KafkaBroker, tmp_p
     assert expired.position == 60, "from the file alone"
     expired.close()
     (tmp_path / "kept.json").write_text("not JSON")
-    with pytest.raises(BadInput, match="position of a topic. Remove the file"):
+    with pytest.raises(BadInput, match=r"position of a topic\. Remove the file"):
         sink(broker, "kept", tmp_path)
     elsewhere = KafkaSink(
         KafkaTopic(broker.address, "kept"), "another-lab", tmp_path / "other.json", {}, patience_s=60
