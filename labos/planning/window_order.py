@@ -228,8 +228,8 @@ class WindowOrders:
         now: int,
         tries: int,
     ) -> OrderSuggested | None:
-        """The best order of these runs in so many tries, whatever counts now; None if there is none. It is
-        not kept."""
+        """The best order of these runs in so many tries, also where a planner's order is followed now; None
+        if there is none. It is not kept in ``orders``."""
         inside = [run for run in runs if run.has_started]
         waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None

@@ -98,7 +98,7 @@ def _in_kernel() -> None:
         reach("kernel.after_look")
         return seen
 
-    def crashing_tell(self: Any, *sight: Any) -> None:
+    def crashing_report(self: Any, *sight: Any) -> None:
         tell(self, *sight)
         reach("kernel.after_sight")
 
@@ -108,7 +108,7 @@ def _in_kernel() -> None:
     SqlEventStore.claim = crashing_claim  # type: ignore[method-assign]
     Dispatcher._ask_node = crashing_ask  # type: ignore[method-assign]
     Observer.observe = crashing_look  # type: ignore[method-assign]
-    Reconciler._report_sight = crashing_tell  # type: ignore[method-assign]
+    Reconciler._report_sight = crashing_report  # type: ignore[method-assign]
 
 
 def _in_transaction() -> None:
