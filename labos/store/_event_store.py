@@ -352,6 +352,6 @@ def rows_of(expected: Head, records: Sequence[Record]) -> list[Row]:
                 f"{position - 1} of lab {expected.lab!r} at {recorded_at} ns"
             )
         recorded_at = at.recorded_at
-        _lab, *fields = msgspec.structs.astuple(at)
+        _lab, *fields = msgspec.structs.astuple(at)  # the columns are in the order of these fields
         rows.append((*fields, record.envelope, record.payload, record.hash))
     return rows
