@@ -33,8 +33,8 @@ LOST_PAUSE_S = 5.0
     type=click.FloatRange(0.1, 600),
     default=5.0,
     show_default=True,
-    help="How long to search for an order each time. For runs with windows, a search in the timetable comes "
-    "before it: about 5 s of processor time for 16 runs.",
+    help="How long to search for an order each time. For runs with windows, another search of up to about "
+    "5 s comes before it.",
 )
 @click.option(
     "--quantile",
