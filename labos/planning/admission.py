@@ -22,6 +22,7 @@ from labos.planning.reservations import Reservations
 from labos.planning.suggested import Adviser
 from labos.planning.touch import cell_key
 from labos.planning.waiting import WaitingRoom
+from labos.planning.window_order import WindowOrders
 
 MOST_INSIDE = 8
 """With more runs inside, no order is looked for."""
@@ -59,6 +60,7 @@ class Admission:
         reservations: Reservations,
         ranking: Ranking,
         adviser: Adviser,
+        window_orders: WindowOrders,
         check_start: CheckStart,
     ) -> None:
         self.pilot = Pilot()
@@ -66,6 +68,7 @@ class Admission:
         self._reservations = reservations
         self._ranking = ranking
         self._adviser = adviser
+        self._window_orders = window_orders
         self._check_start = check_start
 
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
@@ -168,9 +171,12 @@ class Admission:
         first = Candidate(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
         stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
-        if not goes_first and self._adviser.own.is_too_early(state, cell):
-            until = self._adviser.own.goes_on_at(cell)
-            return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
+        own = self._adviser.own
+        if not goes_first and own.is_used:
+            is_too_early = own.is_too_early(state, cell)
+            until = own.goes_on_at(cell) if is_too_early else self._window_orders.find_hold(state, cell, now)
+            if is_too_early or until is not None:
+                return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
         if goes_first or not stands or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)

@@ -109,7 +109,9 @@ class Scheduler:
         self.adviser = Adviser(own, self.window_orders.orders)
         self.ranking = Ranking(self.reservations, self.adviser)
         self.elders = Elders(self.room, self.safety, self.reservations)
-        self.admission = Admission(self.room, self.reservations, self.ranking, self.adviser, self.check_start)
+        self.admission = Admission(
+            self.room, self.reservations, self.ranking, self.adviser, self.window_orders, self.check_start
+        )
         self._cells: dict[str, str] = {}
         self._seen: dict[Kind, list[Wait]] = {}
         self._seen_at = (0, 0)
@@ -312,7 +314,7 @@ class Scheduler:
         for cell in self._list_cells(state, names) if self.adviser.own.is_used else ():
             if self.admission.find_order(state, cell, now):
                 names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
-        for cell in self._order_windows(state, now):
+        for cell in self._order_windows(state, names, now):
             names |= self._list_all(state, cell)
         return [spot for spot in (self._look_again(state, name, now) for name in names) if spot is not None]
 
@@ -332,17 +334,30 @@ class Scheduler:
         }
         return names | {(bundle, 0): True for bundle in self.room.list_in_cell(cell)}
 
-    def _order_windows(self, state: LabState, now: int) -> list[str]:
-        """Make an order of one's own where clocks run; returns the workcells in which it is another one."""
+    def _order_windows(self, state: LabState, names: Iterable[Name], now: int) -> list[str]:
+        """Make an order of one's own where clocks run, or will; returns the workcells in which it is another
+        one. ``names`` are those who are looked at now."""
         orders = self.window_orders
-        for cell in [cell for cell in orders.orders if not state.runs.windowed_in.get(cell)]:
+        cells = dict.fromkeys(cell for cell, runs in state.runs.windowed_in.items() if runs)
+        if self.adviser.own.is_used:
+            touched = (*orders.orders, *self._list_cells(state, names))
+            cells |= dict.fromkeys(cell for cell in touched if self._will_start_clocks(state, cell))
+        for cell in [cell for cell in orders.orders if cell not in cells]:
             orders.drop(cell)
         changed: list[str] = []
-        for cell in [cell for cell, runs in state.runs.windowed_in.items() if runs]:
+        for cell in cells:
             waiting = self.admission.list_next(state, cell, MOST_WAITING, now)
             if orders.update(state, cell, waiting, partial(self.room.count_overtakings, cell), now):
                 changed.append(cell)
         return changed
+
+    def _will_start_clocks(self, state: LabState, cell: str) -> bool:
+        """Whether a workcell is empty, and what waits for it has windows."""
+        if state.runs.list_inside(cell):
+            return False
+        bundles = self.room.list_in_cell(cell)
+        run = self.room.find_any_run(state, bundles[0]) if bundles else None
+        return run is not None and bool(state.runs.plans[run.plan].windowed)
 
     def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
         """What the keys stand for, with the workcells of all that is over: the state does not know any more

@@ -40,7 +40,7 @@ from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
-from labos.planning.window_order import OWN_WINDOWS
+from labos.planning.window_order import OWN_WINDOWS, PUNCTUAL_S
 
 GRACE_S = 60.0
 """So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
@@ -116,7 +116,10 @@ class Adviser:
         """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
         plan = state.runs.plan_of(run)
         advice = self._find_advice(state, plan.workcell, now)
-        if advice is None or plan.steps[step].part != MAIN or not state.actions.is_any_moving(plan.workcell):
+        if advice is None or plan.steps[step].part != MAIN:
+            return None
+        is_still = not state.actions.is_any_moving(plan.workcell)
+        if is_still and (run.has_started or advice.order.by != OWN_WINDOWS):
             return None
         if run.has_started and run.status != RunStatus.ACTIVE:
             return None
@@ -132,7 +135,8 @@ class Adviser:
                 return None
             later = reasons.LaterHere if is_own or waits_outside else reasons.ClockLater
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
-            return Wait(why_later, (cell_key(plan.workcell),), mine)
+            again = now + convert_lab_s(state, PUNCTUAL_S) if is_still else mine
+            return Wait(why_later, (cell_key(plan.workcell),), min(mine, again))
         for resource in _list_resources(state, plan.steps[step]):
             # The lab's own orders name all that should start soon: what they do not name comes after them.
             before = mine if mine < LAST or is_own else _find_release(state, plan, step, resource, now)

@@ -54,6 +54,12 @@ ENOUGH_EACH = 430
 BREATH_NS = 2_000_000
 """The pause between two turns of a search: work that has to be done goes on meanwhile."""
 
+MOST_HELD_NS = 10_000_000_000
+"""For so long (wall time) at most no run starts in an empty workcell because the search is going on."""
+
+LOOK_NS = 1_000_000_000
+"""A run that waits for the end of the search is looked at again after so long at the latest."""
+
 MOST_SLOTS = 2048
 """So many slots all steps take together, at most."""
 
@@ -133,6 +139,13 @@ class CellSearch(msgspec.Struct):
     """When was searched last (UTC ns)."""
     tried: int = 0
     """How many orders were tried."""
+    held_since: int | None = None
+    """Since when runs wait for the search in an empty workcell (UTC ns)."""
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether orders are still to be tried, even if nothing happens."""
+        return self.members is not None and self.tried < ENOUGH_EACH * len(self.members[1])
 
 
 class WindowOrders:
@@ -165,8 +178,17 @@ class WindowOrders:
     def find_next_look(self) -> int | None:
         """When the search goes on even if nothing happens (UTC ns); None if it is over."""
         searches = [self._searches[cell] for cell in self.orders]
-        left = [s for s in searches if s.members is not None and s.tried < ENOUGH_EACH * len(s.members[1])]
-        return min((search.looked + BREATH_NS for search in left), default=None)
+        return min((search.looked + BREATH_NS for search in searches if search.goes_on), default=None)
+
+    def find_hold(self, state: LabState, cell: str, now: int) -> int | None:
+        """Until when no run should start in an empty workcell (UTC ns), because an order is being searched:
+        what the first run does cannot be taken back. None if there is no reason to wait."""
+        search = self._searches.get(cell)
+        if cell not in self.orders or search is None or not search.goes_on or state.runs.list_inside(cell):
+            return None
+        if search.held_since is None or now < search.held_since:
+            search.held_since = now
+        return now + LOOK_NS if now < search.held_since + MOST_HELD_NS else None
 
     def update(
         self,
@@ -184,6 +206,9 @@ class WindowOrders:
         search = self._searches.setdefault(cell, CellSearch())
         inside = state.runs.list_inside(cell)
         late = search.late
+        if inside:
+            search.held_since = None
+        is_held = search.held_since is not None and search.goes_on
         waiting = [run for run in waiting if run.id not in late][:MOST_WAITING]
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
         known, order = search.members, self.orders.get(cell)
@@ -191,7 +216,7 @@ class WindowOrders:
         if known == members:
             if order is None or search.looked == now:
                 return False
-            if not _is_on_time(state, order, now):
+            if not is_held and not _is_on_time(state, order, now):
                 # Once for all that has happened: what the rules do not let start is not waited for again.
                 seen = tuple(tuple(run.statuses) for run in inside)
                 if search.seen == seen:
@@ -214,10 +239,11 @@ class WindowOrders:
         statuses = tuple(tuple(run.statuses) for run in inside)
         is_same = known == members and search.line == before and search.statuses == statuses
         search.statuses = statuses
-        if is_same and order is not None and _is_on_time(state, order, now):
+        is_free = is_held and not search.goes_on
+        if not is_free and is_same and order is not None and _is_on_time(state, order, now):
             return False  # nothing has happened, and nothing better was found
         self.orders[cell] = found
-        return order is None or order.steps != found.steps
+        return is_free or order is None or order.steps != found.steps
 
     def search_longer(
         self,

@@ -178,7 +178,7 @@ class VirtualClock:
         self.jump_ns = int(off_s * 1e9)
 
     def now_ns(self) -> int:
-        return BASE_NS + int(self._loop.time() * 1e9) + self.jump_ns
+        return BASE_NS + round(self._loop.time() * 1e9) + self.jump_ns
 
     def monotonic(self) -> float:
         return self._loop.time()

@@ -6,13 +6,15 @@ import re
 
 from msgspec.structs import replace
 
+from labos.core.decide.cancelling import CancelRun
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.explain import describe_wait
-from labos.planning.window_order import ENOUGH_EACH, MOST_WAITING, TRIES_EACH, TRIES_NEW
+from labos.planning.scheduler import make_searching_scheduler
+from labos.planning.window_order import ENOUGH_EACH, MOST_HELD_NS, MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
-from tests.unit.planning.test_pilot import LONG_FIRST, lab_with, way
+from tests.unit.planning.test_pilot import CELL, LONG_FIRST, lab_with, way
 
 
 def hurried(found: Plan, spare_s: float = 15.0) -> Plan:
@@ -140,3 +142,63 @@ def test_what_was_found_later_is_followed_and_no_look_changes_an_order_for_nothi
         assert found is before or found.steps != before.steps, ends
     last = max(step.start for step in found.steps)
     assert last <= max(step.start for step in first.steps)
+
+
+def searching_lab_with(*plans: Plan, pace: float = 1.0) -> Driver:
+    lab = Driver(CELL, pace=pace)
+    lab.scheduler = make_searching_scheduler()
+    lab.stock("stack", 80)
+    for each in plans:
+        lab.submit(each)
+    return lab
+
+
+def test_in_an_empty_workcell_the_first_run_waits_until_the_search_is_over() -> None:
+    lab = searching_lab_with(TO_LATHE, TO_OVEN, FROM_LATHE, TO_OVEN)
+    orders = lab.scheduler.window_orders
+    assert lab.pump() == []
+    (_, wait), *_ = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
+    assert describe_wait(wait) == "its first step waits, because all work would end later if it started now"
+    started: list[str] = []
+    while not started:
+        look = orders.find_next_look()
+        assert look is not None
+        lab.wait((look - lab.now) / 1e9)
+        started = lab.pump()
+    assert orders.tries >= ENOUGH_EACH * 4
+    left = {step.run for step in orders_of(lab)["cell"].steps if step.step == 0 and step.start > lab.now}
+    assert {name.partition("#")[0] for name in started} == {"R1", "R2", "R3", "R4"} - left
+    go_on(lab)
+    assert not lab.state.runs.active
+    assert not lab.state.runs.queued
+    assert "window.breached" not in lab.types()
+
+
+def test_a_search_that_takes_long_holds_nobody_for_ever() -> None:
+    lab = searching_lab_with(TO_LATHE, TO_OVEN, FROM_LATHE, TO_OVEN)
+    assert lab.pump() == []
+    lab.wait(MOST_HELD_NS / 1e9)
+    assert lab.scheduler.window_orders.tries < ENOUGH_EACH * 4
+    assert lab.pump() != []
+
+
+def test_whoever_waits_for_the_search_is_not_late_where_lab_time_runs_fast() -> None:
+    lab = searching_lab_with(TO_LATHE, TO_OVEN, FROM_LATHE, TO_OVEN, pace=100.0)
+    assert lab.pump() == []
+    started: list[str] = []
+    while not started:
+        lab.wait(0.1)  # ten seconds of the lab
+        started = lab.pump()
+        assert {step.run for step in orders_of(lab)["cell"].steps} == {"R1", "R2", "R3", "R4"}
+
+
+def test_the_search_ends_with_the_runs_that_wait_for_it() -> None:
+    lab = searching_lab_with(TO_LATHE, TO_OVEN)
+    assert lab.pump() == []
+    for run in ("R1", "R2"):
+        lab.do(CancelRun(RunId(run), "ada"))
+    lab.pump()
+    assert not orders_of(lab)
+    assert lab.scheduler.window_orders.find_next_look() is None
+    lab.submit(TO_LATHE)
+    assert lab.pump() == ["R3#0"]
