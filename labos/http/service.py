@@ -100,6 +100,18 @@ class WorkflowText(msgspec.Struct, frozen=True):
     files: Files = {}
 
 
+class PlannedRun(msgspec.Struct, frozen=True):
+    """A compiled run that is not submitted yet. ``loads`` is the labware that was placed for it."""
+
+    run: SubmitRun
+    loads: tuple[LoadStation, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def command(self) -> SubmitRun | SubmitWithLabware:
+        return SubmitWithLabware(self.run, self.loads) if self.loads else self.run
+
+
 class LabService:
     """Submits, queries and changes; every call raises LabosError with a remedy."""
 
@@ -286,28 +298,43 @@ class LabService:
             await self.kernel.flush()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, whole)
             return str(known), ()
+        planned = await self.plan_run(asked, keep=True, whole=whole, request=request)
+        events = await self.kernel.execute(planned.command, asked.user)
+        run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
+        if run is None:
+            run = self.kernel.state.runs.requests[request]
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, whole)
+        return str(run), (*planned.findings, *self.without_gap(run))
+
+    async def plan_run(self, asked: NewRun, *, keep: bool = False, **given: Any) -> PlannedRun:
+        """The requested run, compiled. ``keep`` is as for ``compile``, ``given`` as for ``make_run``."""
         due_at = parse_due(asked.due, self.kernel.clock.now_ns())
         workcell = await self.find_workcell_for(asked.workflow, asked.workcell)
         loads = make_loads(self, asked.place, workcell, asked.user)
-        compiled = await self.compile(asked.workflow, asked.payload, workcell, loads)
-        pins = {**self.list_pins(asked.workflow, *compiled.plans), "request": whole}
-        run_command = make_from(
+        compiled = await self.compile(asked.workflow, asked.payload, workcell, loads, keep=keep)
+        run = self.make_run(asked, asked.workflow, compiled, due_at=due_at, **given)
+        return PlannedRun(run, tuple(loads), compiled.findings)
+
+    def make_run(
+        self,
+        asked: NewRun | NewRuns,
+        workflow: WorkflowText,
+        compiled: Compiled,
+        *,
+        whole: str = "",
+        **given: Any,
+    ) -> SubmitRun:
+        """The command for a requested run. ``whole`` is the digest of its request; ``given`` are values in
+        place of those in the request."""
+        return make_from(
             SubmitRun,
             asked,
             plan=compiled.plan,
             others=compiled.others,
             user=find_person(asked.user),
-            pins=pins,
-            request=request,
-            due_at=due_at,
+            pins={**self.list_pins(workflow, *compiled.plans), "request": whole},
+            **given,
         )
-        command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        events = await self.kernel.execute(command, asked.user)
-        run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
-        if run is None:
-            run = self.kernel.state.runs.requests[request]
-            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, whole)
-        return str(run), (*compiled.findings, *self.without_gap(run))
 
     def without_gap(self, run: RunId) -> list[Finding]:
         """Warnings about bookings of others that leave no time for the run: it would wait for a person."""

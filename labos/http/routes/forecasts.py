@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide.composites import SubmitWithLabware
-from labos.core.decide.runs import SubmitRun
 from labos.core.lengths import Drift, find_drifts
-from labos.core.structs import make_from
-from labos.core.users import find_person
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
-from labos.http.placing import make_loads
 from labos.planning.lab_forecast import LabForecast
-from labos.services.times import parse_due
 from labos.spec.findings import Finding
 
 
@@ -80,21 +74,9 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
     service = call.service
     service.expect_role(body.user, "submitter")  # before anything is planned
-    workcell = await service.find_workcell_for(body.workflow, body.workcell)
-    loads = make_loads(service, body.place, workcell, body.user)
-    compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
-    run = make_from(
-        SubmitRun,
-        body,
-        plan=compiled.plan,
-        others=compiled.others,
-        user=find_person(body.user),
-        propose=False,
-        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
-    )
-    command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    forecast = await service.forecasts.forecast(command, body.user)
-    return RunForecast(hide_others(forecast, call), compiled.findings)
+    planned = await service.plan_run(body, propose=False)
+    forecast = await service.forecasts.forecast(planned.command, body.user)
+    return RunForecast(hide_others(forecast, call), planned.findings)
 
 
 @Operation(
