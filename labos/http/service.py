@@ -184,15 +184,20 @@ class LabService:
             )
         found = state.lab.workcells[name]
         if found not in self._cells:
-            self._cells[found] = Workcell(
-                name,
-                found,
-                tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
-                tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
-                tuple(state.lab.labware.get(name, {}).values()),
-                state.lab.transfers.get(name, ()),
-            )
+            self._cells[found] = self.read_workcell(name)
         return self._cells[found]
+
+    def read_workcell(self, name: str) -> Workcell:
+        """A workcell as the log has it; empty if it has none of this name."""
+        state = self.kernel.state
+        return Workcell(
+            name,
+            state.lab.workcells.get(name, ""),
+            tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
+            tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
+            tuple(state.lab.labware.get(name, {}).values()),
+            state.lab.transfers.get(name, ()),
+        )
 
     def read_bench(self, workcell: str) -> BenchFile:
         """The labware types in the stacks now, and the modules that are not at rest although no run holds

@@ -50,15 +50,6 @@ OldName = Annotated[
 _log = structlog.get_logger(__name__)
 
 
-class NodeProcess(Protocol):
-    """A node's process as its supervisor reports it."""
-
-    state: str
-    pid: int
-    starts: int
-    why: str
-
-
 class Supervised(Protocol):
     @property
     def nodes(self) -> Mapping[str, Any]: ...
@@ -343,10 +334,7 @@ def make_module_view(
 
 def list_calibrations(module: Module) -> list[CalibrationView]:
     """The last calibrations of a module, one for each ``what``."""
-    return [
-        CalibrationView(what, one.certificate, one.until, one.file, one.by, one.at)
-        for what, one in sorted(module.calibrations.items())
-    ]
+    return [make_from(CalibrationView, one, what=what) for what, one in sorted(module.calibrations.items())]
 
 
 def make_question_view(state: LabState, question: Intervention) -> QuestionView:
@@ -361,15 +349,14 @@ def make_question_view(state: LabState, question: Intervention) -> QuestionView:
 
 
 def make_station_view(name: str, station: StationState) -> StationView:
-    return StationView(
+    return make_from(
+        StationView,
+        station.spec,
         name=name,
-        kind=station.spec.kind,
-        capacity=station.spec.capacity,
         known=station.known,
         labware=list(station.labware),
         stock=len(station.stock),
         level=station.level,
-        hotel=station.spec.hotel,
     )
 
 
