@@ -44,6 +44,12 @@ Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 WAITS = says("wait for an approval, also if the policy does not require one")
 
 
+class Asked(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """A request in which a user is named."""
+
+    by: Asker = ""
+
+
 class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """A run of a workflow."""
 
@@ -163,21 +169,17 @@ class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     propose: Annotated[bool, WAITS] = False
 
 
-class CampaignPause(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class CampaignPause(Asked, kw_only=True):
     why: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
-class CampaignCancel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
-    why: Annotated[Line, says("a reason or comment for the log")] = ""
+class CampaignCancel(CampaignPause, kw_only=True):
     stay: Annotated[bool, says("labware of its runs stays where it is")] = False
 
 
-class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class Amendment(Asked, kw_only=True):
     """Fields that are left out do not change."""
 
-    by: Asker = ""
     priority: Annotated[Priority | None, says("the priority of rows that are submitted from now on")] = None
     deadline: Annotated[Line | None, says("a time, or a duration from now (`12h`); empty for none")] = None
     runs: Annotated[Limit | None, says("the largest number of runs; 0 for no limit")] = None
@@ -190,7 +192,7 @@ class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = None
 
 
-class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
+class Clone(Amendment, kw_only=True):
     """Fields that are left out are copied from the campaign, except the deadline: the clone has none."""
 
     name: Annotated[Line, says("the name of the new campaign; empty: the name of the original")] = ""
@@ -199,8 +201,7 @@ class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
     propose: Annotated[bool, WAITS] = False
 
 
-class Archiving(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class Archiving(Asked, kw_only=True):
     undo: Annotated[bool, says("show it in lists again")] = False
 
 
@@ -304,8 +305,7 @@ class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = ""
 
 
-class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class NewCalibration(Asked, kw_only=True):
     what: Annotated[
         Name, says("the calibrated part or quantity, such as `volume`; empty for the whole module")
     ] = ""
@@ -315,14 +315,12 @@ class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     why: Annotated[Line, says("a comment for the log")] = ""
 
 
-class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class AccessRequest(Asked, kw_only=True):
     why: Annotated[Line, says("what for")] = ""
     park: Annotated[bool, says("false: arms stay where they are")] = True
 
 
-class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class AccessEnd(Asked, kw_only=True):
     note: Annotated[Words, says("a comment for the log")] = ""
     changed: Annotated[
         list[StationChange],
@@ -331,8 +329,7 @@ class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = []
 
 
-class BenchDeclaration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class BenchDeclaration(Asked, kw_only=True):
     stations: Annotated[Named, says("types of labware by station")] = {}
     workcell: Annotated[Name, says("the workcell for `empty`, if the lab has several")] = ""
     empty: Annotated[bool, says("all stations that were not reported are empty")] = False
@@ -342,13 +339,13 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
     by: Asker = "somebody"
 
 
-class WireTrace(By, forbid_unknown_fields=True):
+class WireTrace(By):
     """Whether a node writes down every byte on its device's wires."""
 
     on: Annotated[bool, says("true or left out: start a transcript in a new file; false: stop it")] = True
 
 
-class RunCancel(By, forbid_unknown_fields=True):
+class RunCancel(By):
     """The run ends when its actions in flight have ended."""
 
     stay: Annotated[
@@ -365,7 +362,7 @@ class RunSignature(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     why: Annotated[Line, says("a comment, for the log")] = ""
 
 
-class RunPause(By, forbid_unknown_fields=True):
+class RunPause(By):
     """No more steps of a run are to start until it is resumed."""
 
     why: Annotated[Line, says("a reason or comment for the log")] = ""

@@ -82,15 +82,8 @@ class Api:
         return link.notes if link is not None else notes_of(self.service)
 
     def _make_view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
-        view = make_lab_view(
-            self.kernel,
-            simulated=self.service.parts.simulated,
-            rejected=self._notes.rejected,
-            supervised=self._notes.supervised,
-            waits=waits,
-            hidden=find_hidden(self.kernel.state, viewer),
-        )
-        return msgspec.json.encode(view)
+        hidden = find_hidden(self.kernel.state, viewer)
+        return msgspec.json.encode(make_lab_view(self.kernel, self._notes, waits=waits, hidden=hidden))
 
 
 class Call:

@@ -17,7 +17,7 @@ from labos.core.policy import Policy
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.errors import BadInput, NotFound
-from labos.http.bodies import Amendment, Amounts, Limit
+from labos.http.bodies import Amendment, Amounts, Asked, Limit
 from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
@@ -124,8 +124,7 @@ class ApprovalTerms(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = False
 
 
-class ApprovalRefusal(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class ApprovalRefusal(Asked, kw_only=True):
     comment: Annotated[Line, says("a reason or comment for the log")] = ""
 
 

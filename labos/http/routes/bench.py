@@ -3,17 +3,10 @@ them."""
 
 from __future__ import annotations
 
+import msgspec
+
 from labos.core.decide.labware import NameBarcode
 from labos.core.ids import LabwareId, split_key
-from labos.http.answers import (
-    DeclareResult,
-    LabwareOwner,
-    LabwareReference,
-    LoadResult,
-    Resolution,
-    SampleCounts,
-    UnloadResult,
-)
 from labos.http.bodies import (
     BarcodeLabel,
     BenchDeclaration,
@@ -32,6 +25,47 @@ from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
 from labos.http.stock import Load, Unload, load, unload
+
+
+class Resolution(msgspec.Struct, frozen=True):
+    intervention: str
+    choice: str
+
+
+class LabwareReference(msgspec.Struct, frozen=True):
+    """The id of the labware. It is empty on a stack, where a piece gets its id when it is taken."""
+
+    labware: str
+
+
+class LoadResult(msgspec.Struct, frozen=True):
+    """The ids of the labware; none on a stack."""
+
+    labware: list[str]
+
+
+class UnloadResult(msgspec.Struct, frozen=True):
+    """The ids of the pieces that had one, and the number of pieces without."""
+
+    labware: list[str]
+    nameless: int
+
+
+class DeclareResult(msgspec.Struct, frozen=True):
+    """The types of labware by station."""
+
+    declared: dict[str, list[str]]
+
+
+class LabwareOwner(msgspec.Struct, frozen=True):
+    labware: str
+    owner: str
+
+
+class SampleCounts(msgspec.Struct, frozen=True):
+    """The number of samples in each plate."""
+
+    plates: dict[str, int]
 
 
 @Operation(

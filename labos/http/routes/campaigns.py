@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import msgspec
 from starlette.responses import Response
 
-from labos.core.campaigns import Campaign
+from labos.core.campaigns import Campaign, Terms
 from labos.core.decide.campaigns import (
     AmendCampaign,
     ArchiveCampaign,
@@ -16,14 +17,6 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.ids import CampaignId
 from labos.errors import NotFound
 from labos.http import wire
-from labos.http.answers import (
-    CampaignReference,
-    Campaigns,
-    CampaignSubmission,
-    CampaignTerms,
-    Shares,
-    SharesReference,
-)
 from labos.http.bodies import (
     Amendment,
     Archiving,
@@ -34,15 +27,58 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, amend_terms, make_view, submit_campaign
+from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
 from labos.http.cloning import clone_campaign
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
-from labos.services.shares import make_ledger
+from labos.services.shares import ShareAccount, make_ledger
 from labos.spec.shares import parse_shares
+
+
+class CampaignSubmission(msgspec.Struct, frozen=True):
+    """The id of the campaign (empty if it was only checked), and the work and material that all its rows
+    need: the number of ``rows`` and of those that were ``checked``, ``module_time_s`` in total and by
+    ``modules``, the least time that the ``busiest`` module needs (``bounds_s``), and the amount of each of
+    the ``consumables`` that is ``needed`` and ``left``. ``approval`` is the reason if it waits for an
+    approval."""
+
+    campaign: str
+    estimate: Estimate
+    approval: str = ""
+
+
+class CampaignReference(msgspec.Struct, frozen=True):
+    campaign: str
+
+
+class CampaignTerms(msgspec.Struct, frozen=True):
+    """The terms that are now valid. ``approval`` is the reason if a change waits for an approval."""
+
+    campaign: str
+    terms: Terms
+    approval: str = ""
+
+
+class Campaigns(msgspec.Struct, frozen=True):
+    campaigns: list[CampaignView]
+
+
+class Shares(msgspec.Struct, frozen=True):
+    """An account for each user who is in the shares file or has used the lab: the ``wanted`` share, the share
+    that the user ``had``, ``lab_hours`` and ``consumables`` of the last seven days, and the ``quota``.
+    """
+
+    accounts: list[ShareAccount]
+
+
+class SharesReference(msgspec.Struct, frozen=True):
+    """The SHA-256 of the file."""
+
+    digest: str
+
 
 _WORKFLOW = (
     "labos: 1\nname: seal\nsteps:\n"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 from starlette.responses import Response
 
 from labos.core.modules import StopReported
 from labos.core.registry import Event
 from labos.http import wire
-from labos.http.answers import Health, LogCheckView, NodeAnswers
-from labos.http.asking import ask_nodes
+from labos.http.asking import NodeAnswer, ask_nodes
 from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
@@ -19,6 +19,38 @@ from labos.http.views import LabView
 from labos.runtime.stop import StopReport
 from labos.services.inventory import Inventory, count_inventory
 from labos.services.times import iso_time
+
+
+class LogCheckView(msgspec.Struct, frozen=True):
+    """The check of the whole log in the background: how many records are ``checked`` of how many, whether it
+    is ``done``, and the ``damage`` that it found."""
+
+    checked: int
+    of: int
+    done: bool
+    damage: str
+
+
+class Health(msgspec.Struct, frozen=True):
+    """``status`` is ``ok`` or ``failed``. ``position`` is the position of the last event on disk.
+    ``suspended`` is the reason why nothing starts (a fault in planning; empty: planning works).
+    ``broken_drivers`` lists drivers that cannot be used, each with the reason."""
+
+    status: str
+    lab: str
+    name: str
+    epoch: int
+    position: int
+    suspended: str
+    simulated: bool
+    pace: float
+    broken_drivers: dict[str, str]
+    log_check: LogCheckView | None
+
+
+class NodeAnswers(msgspec.Struct, frozen=True):
+    modules: list[NodeAnswer]
+
 
 _NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
 _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}

@@ -9,7 +9,6 @@ from starlette.responses import Response, StreamingResponse
 
 from labos.core.structs import make_from
 from labos.http import wire
-from labos.http.answers import EventPage
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
 from labos.http.method import Method
@@ -18,7 +17,15 @@ from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
 from labos.http.words import STORED
-from labos.ports import LogQuery
+from labos.ports import EventLine, LogQuery
+
+
+class EventPage(msgspec.Struct, frozen=True):
+    """Committed events in order. For the next page, ask with ``after`` = ``position``."""
+
+    events: list[EventLine]
+    position: int
+
 
 CONNECTION = "labos.connection"
 """The key in a request's scope with its connection."""

@@ -12,16 +12,6 @@ from labos.core.ids import workcell_of
 from labos.core.structs import make_from
 from labos.errors import BadInput
 from labos.http.access import end_access, request_access
-from labos.http.answers import (
-    AccessResult,
-    CalibrationRecord,
-    Locations,
-    ModuleReference,
-    PoseVersion,
-    ReplenishResult,
-    TraceFile,
-    WorkcellReference,
-)
 from labos.http.asking import switch_trace
 from labos.http.bodies import (
     AccessEnd,
@@ -38,8 +28,57 @@ from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
-from labos.http.teaching import make_locations, teach
+from labos.http.teaching import LocationPose, make_locations, teach
 from labos.http.workcells import WorkcellChange, apply_workcell
+
+
+class ModuleReference(msgspec.Struct, frozen=True):
+    module: str
+
+
+class TraceFile(msgspec.Struct, frozen=True):
+    """The transcript: a file on the node's computer. The node chooses its name."""
+
+    module: str
+    file: str
+
+
+class ReplenishResult(msgspec.Struct, frozen=True):
+    """The amount that was put in."""
+
+    module: str
+    resource: str
+    amount: float
+
+
+class Locations(msgspec.Struct, frozen=True):
+    locations: dict[str, LocationPose]
+
+
+class PoseVersion(msgspec.Struct, frozen=True):
+    version: int
+
+
+class CalibrationRecord(msgspec.Struct, frozen=True):
+    """The recorded calibration. ``file`` is the SHA-256 of its report; empty if none was sent."""
+
+    module: str
+    what: str
+    certificate: str
+    file: str
+    until: str
+
+
+class AccessResult(msgspec.Struct, frozen=True):
+    """``parking`` are the runs that first move arms to their rest positions."""
+
+    workcell: str
+    parking: list[str]
+
+
+class WorkcellReference(msgspec.Struct, frozen=True):
+    workcell: str
+
 
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 

@@ -5,20 +5,12 @@ from __future__ import annotations
 import asyncio
 from itertools import islice
 
+import msgspec
+
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
 from labos.core.structs import make_from
 from labos.errors import NotFound
-from labos.http.answers import (
-    ExperimentReference,
-    FileReference,
-    HeartbeatReply,
-    RunDetail,
-    RunReference,
-    Runs,
-    RunsSubmission,
-    RunSubmission,
-)
 from labos.http.batches import submit_batch
 from labos.http.bodies import (
     By,
@@ -38,6 +30,79 @@ from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
+from labos.services.runs import StepHistory
+from labos.spec.findings import Finding
+
+
+class RunDetail(msgspec.Struct, frozen=True):
+    """A run from the log, with its steps. Times are in UTC nanoseconds, 0 if not yet known. ``status``:
+    queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the periods
+    (from, to) in which one of its actions was in flight. ``due_at`` is the time by which it should end."""
+
+    id: str
+    workflow: str
+    workcell: str
+    user: str
+    experiment: str
+    submitted_at: int
+    steps: list[StepHistory]
+    status: str
+    started_at: int
+    ended_at: int
+    why: str
+    paused: bool
+    closing: bool
+    campaign: str
+    busy: list[tuple[int, int]]
+    due_at: int
+
+
+class Runs(msgspec.Struct, frozen=True):
+    """A page of runs. ``position`` is the position of the last submission on it; ``more``: there are later
+    ones. ``ended_position`` is the position of the earliest end on it (0: none)."""
+
+    runs: list[RunDetail]
+    position: int
+    more: bool
+    ended_position: int
+
+
+class RunSubmission(msgspec.Struct, frozen=True):
+    """The id of the run, and the warnings about the workflow's files. ``approval`` is the reason if it waits
+    for an approval."""
+
+    run: str
+    warnings: tuple[Finding, ...] = ()
+    approval: str = ""
+
+
+class RunsSubmission(msgspec.Struct, frozen=True):
+    """The ids of the runs, in the order of their payloads, and the warnings about the workflow's files.
+    ``approvals`` has the reason, one sentence for each run that waits for an approval."""
+
+    runs: list[str]
+    warnings: tuple[Finding, ...] = ()
+    approvals: tuple[str, ...] = ()
+
+
+class RunReference(msgspec.Struct, frozen=True):
+    run: str
+
+
+class FileReference(msgspec.Struct, frozen=True):
+    sha256: str
+
+
+class ExperimentReference(msgspec.Struct, frozen=True):
+    """``approval`` is the reason if it waits for an approval."""
+
+    experiment: str
+    approval: str = ""
+
+
+class HeartbeatReply(msgspec.Struct, frozen=True):
+    """The lab has recorded the heartbeat."""
+
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 _TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")

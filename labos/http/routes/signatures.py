@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.http.answers import Signatures
+import msgspec
+
 from labos.http.bodies import RunSignature
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfCampaign, OfExperiment, OfRun
 from labos.http.signing_runs import list_signatures_under, sign
 from labos.services.signatures import Kind, Signature
+
+
+class Signatures(msgspec.Struct, frozen=True):
+    signatures: list[Signature]
+
 
 _ASKED = {"meaning": "reviewed", "password": "four words of yours", "why": "checked"}
 _SIGNATURE = {
