@@ -11,7 +11,7 @@ from labos.core.decide.users import EraseUser
 from labos.core.recurrence import DAY_NS
 from labos.core.users import LABOS, group_subject, user_subject
 from labos.errors import BadInput, Forbidden, NotSignedIn
-from labos.http import provider_sign_in, signing
+from labos.http import signing
 from labos.http.identity import SIGN_IN
 from labos.http.limits import Name
 from labos.http.method import Method
@@ -84,7 +84,7 @@ async def sign_in(call: Call, body: signing.SignIn) -> Response:
 @Operation(
     route="POST /login/provider",
     client=Method("begin_sign_in"),
-    answer=provider_sign_in.ProviderSignIn,
+    answer=signing.ProviderSignIn,
     summary="Begin to sign in with an identity provider: get the address of its page",
     needs="nobody",
     secret=True,
@@ -99,26 +99,26 @@ async def sign_in(call: Call, body: signing.SignIn) -> Response:
         "wait_s": 0.0,
     },
 )
-async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Response:
+async def begin_sign_in(call: Call, body: signing.BeginSignIn) -> Response:
     """For a command line. The user opens the address in a browser. On the same computer, the browser returns
     to a local port. For a `device` without a browser, the user enters the code in a browser elsewhere. The
     sign-in expires after ten minutes."""
-    way = provider_sign_in.find_way(call)
+    way = signing.find_way(call)
     if body.device:
         begun, shown = await way.begin_device()
-        found = provider_sign_in.ProviderSignIn(
+        found = signing.ProviderSignIn(
             begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
         )
     else:
         begun = await way.begin(body.port)
-        found = provider_sign_in.ProviderSignIn(begun.address, begun.state, begun.browser)
+        found = signing.ProviderSignIn(begun.address, begun.state, begun.browser)
     return answer_secret(found)
 
 
 @Operation(
     route="POST /login/provider/finish",
     client=Method("finish_sign_in", "state, key"),
-    answer=provider_sign_in.FinishedSignIn,
+    answer=signing.FinishedSignIn,
     summary="Finish signing in with an identity provider: get a token",
     needs="nobody",
     secret=True,
@@ -127,24 +127,24 @@ async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Respo
     example={"state": "q4", "key": "b7", "code": "x9", "iss": "https://login.example.org"},
     example_answer={"user": "ada", "until": 1767268800000000000, "token": "", "wait_s": 5.0},
 )
-async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Response:
+async def finish_sign_in(call: Call, body: signing.FinishSignIn) -> Response:
     """The request holds the parameters with which the browser returned from the provider. For a `device`
     there are none: repeat the request every `wait_s` seconds until there is a token."""
     from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
 
-    way, accounts = provider_sign_in.find_way(call), call.api.gate.accounts
+    way, accounts = signing.find_way(call), call.api.gate.accounts
     sent = {"state": body.state, "code": body.code, "iss": body.iss, "error": body.error}
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, body.key)
         if isinstance(claims, RetryAfter):
-            return answer_secret(provider_sign_in.FinishedSignIn(wait_s=claims.seconds))
+            return answer_secret(signing.FinishedSignIn(wait_s=claims.seconds))
         user = await find_user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.count_try("wrong")
         raise
     accounts.count_try("right")
     secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
-    return answer_secret(provider_sign_in.FinishedSignIn(user, token.expires_at, secret))
+    return answer_secret(signing.FinishedSignIn(user, token.expires_at, secret))
 
 
 @Operation(

@@ -5,8 +5,14 @@ from __future__ import annotations
 
 import msgspec
 
+from labos.core.decide.handover import HandOver
 from labos.core.decide.labware import NameBarcode
-from labos.core.ids import LabwareId, split_key
+from labos.core.decide.observation import ObserveStation
+from labos.core.ids import LabwareId, Owner, StationName, split_key
+from labos.core.interventions import InterventionRequested, InterventionResolved
+from labos.core.labware import LabwareObserved, LabwareRemoved, LabwareUncertain
+from labos.core.topics import Choice
+from labos.errors import NotFound
 from labos.http.bodies import (
     BarcodeLabel,
     BenchDeclaration,
@@ -19,12 +25,33 @@ from labos.http.bodies import (
 from labos.http.declare import declare_bench
 from labos.http.limits import LARGEST_BODY, check_person
 from labos.http.method import Method
-from labos.http.observing import ObservationResult, give, observe
 from labos.http.operation import Call, Operation, list_operations
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
+from labos.http.service import LabService
 from labos.http.stock import Load, Unload, load, unload
+
+EMPTY = "empty"
+
+
+class QuestionAsked(msgspec.Struct, frozen=True):
+    id: str
+    text: str
+    choices: tuple[Choice, ...]
+
+
+class ObservationResult(msgspec.Struct, frozen=True):
+    """The consequences of an observation: labware that was ``found``, with its station; labware that is
+    ``gone``; ``uncertain`` labware with its possible places; and the questions that are ``answered`` and
+    ``asked``."""
+
+    station: str
+    found: dict[str, str]
+    gone: list[str]
+    uncertain: dict[str, tuple[str, ...]]
+    answered: list[str]
+    asked: list[QuestionAsked]
 
 
 class Resolution(msgspec.Struct, frozen=True):
@@ -141,7 +168,20 @@ async def unload_station(call: Call, body: Unload) -> UnloadResult:
 async def observe_station(call: Call, body: Observation) -> ObservationResult:
     """The report narrows down uncertain places. If it contradicts the log, LabOS asks a question. It is
     refused while labware is being moved to or from the station."""
-    return await observe(call.service, body.station, body.what, body.by)
+    place = call.service.station(body.station)
+    events = await call.kernel.execute(_sight(call.service, place, body.what.strip(), body.by), body.by)
+    return ObservationResult(
+        station=place,
+        found={e.labware: e.station for e in events if isinstance(e, LabwareObserved)},
+        gone=[e.labware for e in events if isinstance(e, LabwareRemoved)],
+        uncertain={e.labware: e.places for e in events if isinstance(e, LabwareUncertain)},
+        answered=[e.intervention for e in events if isinstance(e, InterventionResolved)],
+        asked=[
+            QuestionAsked(e.intervention, e.text, e.choices)
+            for e in events
+            if isinstance(e, InterventionRequested)
+        ],
+    )
 
 
 @Operation(
@@ -225,7 +265,8 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
     kind, name = split_key(body.to)
     if kind == "user":
         check_person(name, "to")
-    await give(call.service, path.labware, body.to, body.by, force=body.force, note=body.note)
+    item = call.service.labware(path.labware).id
+    await call.kernel.execute(HandOver(item, Owner(body.to), body.by, body.force, body.note), body.by)
     return LabwareOwner(path.labware, body.to)
 
 
@@ -252,6 +293,25 @@ async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
         replace=body.replace,
     )
     return SampleCounts(plates)
+
+
+def _sight(service: LabService, place: StationName, what: str, by: str) -> ObserveStation:
+    """What a person saw at a station: ``empty``, a number, labware by its id or barcode, a labware type, or
+    (no words) something. Raises NotFound."""
+    known, types = service.kernel.state.bench, service.list_labware_types()
+    labware = known.barcodes.get(what, LabwareId(what))
+    if not what:
+        return ObserveStation(place, by)
+    if what == EMPTY or what.isdecimal():
+        return ObserveStation(place, by, 0 if what == EMPTY else int(what))
+    if labware in known.labware:
+        return ObserveStation(place, by, labware=labware)
+    if what in types:
+        return ObserveStation(place, by, kind=what)
+    raise NotFound(
+        f"{what!r} is neither labware on the bench nor a labware type.",
+        remedy=f"Give empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
+    )
 
 
 OPERATIONS = list_operations(globals(), "bench")
