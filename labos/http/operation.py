@@ -2,9 +2,10 @@
 derived from it.
 
 The parameters of a handler show what it reads: ``path``, ``query`` and ``body`` are structs, and its return
-value is a struct too. An operation decorates its handler::
+value is a struct too. An operation decorates its handler; ``read``, ``command`` and ``submission`` are
+operations whose values are given in part::
 
-    @Operation(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
+    @command(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
 
@@ -30,7 +31,7 @@ from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
-from labos.http.limits import SMALL_BODY
+from labos.http.limits import LARGEST_BODY, SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
 from labos.http.recorded import RepeatedRequest
@@ -301,6 +302,21 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 request, api.arriving, shape.body, self.largest_body, asker=asker
             )
         return arguments
+
+
+read = partial(Operation, needs="viewer")
+"""An operation that changes nothing."""
+
+command = partial(Operation, problems=("refused",))
+"""An operation with a command that the rules may forbid in the present state."""
+
+submission = partial(
+    Operation,
+    needs="submitter",
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    largest_body=LARGEST_BODY,
+)
+"""An operation that reads files of a user, to plan or to submit."""
 
 
 def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:

@@ -15,7 +15,7 @@ from labos.http import signing
 from labos.http.identity import SIGN_IN
 from labos.http.limits import Name
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.providing import find_user_meant
 from labos.http.queries import OfUser
 from labos.http.signing import (
@@ -170,11 +170,10 @@ async def sign_out(call: Call) -> Response:
     return answer
 
 
-@Operation(
+@read(
     route="GET /whoami",
     client=Method("identity"),
     summary="Show the user who asks, and the user's rights",
-    needs="viewer",
 )
 async def get_identity(call: Call) -> signing.Identity:
     who, state = call.who, call.kernel.state
@@ -200,11 +199,10 @@ async def get_identity(call: Call) -> signing.Identity:
     )
 
 
-@Operation(
+@read(
     route="GET /tokens",
     client=Method("tokens", "user", take="tokens"),
     summary="Tokens of programs",
-    needs="viewer",
     example_answer={"tokens": [_TOKEN]},
 )
 async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
@@ -266,11 +264,10 @@ async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
     return signing.UserReference(token.user)
 
 
-@Operation(
+@read(
     route="GET /people",
     client=Method("people", take="people"),
     summary="List the names of users",
-    needs="viewer",
     example_answer={"people": [{"user": "ada", "name": "Ada Byron", "mail": ""}]},
 )
 async def list_people(call: Call) -> signing.People:

@@ -21,7 +21,7 @@ from labos.http.bodies import Amendment, Amounts, Asked, Limit
 from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.planning.lab_forecast import LabForecast
@@ -143,11 +143,10 @@ class PolicyReference(msgspec.Struct, frozen=True):
 _POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
 
 
-@Operation(
+@read(
     route="GET /approvals",
     client=Method("_list_approvals"),
     summary="List the submissions that wait for an approval",
-    needs="viewer",
 )
 def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """A page of them, the oldest first. While there are `more`, ask for the next page with `after` = the last
@@ -160,11 +159,10 @@ def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     return Proposals(found, begin + query.limit < len(names))
 
 
-@Operation(
+@read(
     route="GET /approvals/{subject}",
     client=Method("approval_of"),
     summary="Show a submission that waits for an approval, and how it differs from the last approved one",
-    needs="viewer",
 )
 async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     state = call.kernel.state
@@ -176,11 +174,10 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     return ProposalDetail(view, changed)
 
 
-@Operation(
+@read(
     route="GET /approvals/{subject}/forecast",
     client=Method("approval_forecast", timeout_s=FORECAST_S),
     summary="Forecast a submission that waits for an approval",
-    needs="viewer",
     problems=("refused",),
 )
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
@@ -203,12 +200,11 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     return ProposalForecast(hide_others(forecast, call), consumables)
 
 
-@Operation(
+@command(
     route="POST /approvals/{subject}/approve",
     client=Method("approve", "subject, by, digest", take="digest", repeat=True),
     summary="Approve a submission, as it is or with changes",
     needs="operator",
-    problems=("refused",),
     example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -235,12 +231,11 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
-@Operation(
+@command(
     route="POST /approvals/{subject}/refuse",
     client=Method("refuse", take="digest", repeat=True),
     summary="Refuse a submission",
     needs="operator",
-    problems=("refused",),
     example={"by": "olga", "comment": "too many plates"},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -252,11 +247,10 @@ async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -
     return ProposalAnswer(proposal.subject, digest)
 
 
-@Operation(
+@read(
     route="GET /policy",
     client=Method("policy"),
     summary="Show the policy: which submissions need an approval, and the highest priority",
-    needs="viewer",
 )
 def get_policy(call: Call) -> PolicyView:
     approvals = call.kernel.state.approvals

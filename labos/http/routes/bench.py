@@ -23,9 +23,9 @@ from labos.http.bodies import (
     SampleSheet,
 )
 from labos.http.declare import declare_bench
-from labos.http.limits import LARGEST_BODY, check_person
+from labos.http.limits import check_person
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read, submission
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
@@ -95,12 +95,11 @@ class SampleCounts(msgspec.Struct, frozen=True):
     plates: dict[str, int]
 
 
-@Operation(
+@command(
     route="POST /interventions/{intervention}",
     client=Method("resolve", "intervention, choice, by, note, result", take=None),
     summary="Answer a question",
     needs="submitter",
-    problems=("refused",),
     example={"choice": "done", "by": "ada", "note": "it stood askew"},
     example_answer={"intervention": "I1", "choice": "done"},
 )
@@ -200,11 +199,10 @@ async def declare_stations(call: Call, body: BenchDeclaration) -> DeclareResult:
     return DeclareResult(found)
 
 
-@Operation(
+@read(
     route="GET /round",
     client=Method("round"),
     summary="Show what has to be reported of the bench after the log lost its end",
-    needs="viewer",
 )
 def get_round(call: Call) -> Round:
     """The evidence that the log has lost its end, and the stations that have to be reported before anything
@@ -232,13 +230,12 @@ async def report_round(call: Call, body: RoundReport) -> RoundResult:
     return await say(call.service, body, body.by)
 
 
-@Operation(
+@command(
     route="POST /labware/{labware}/barcode",
     client=Method("barcode", take=None, repeat=True),
     summary="Record the barcode of labware",
     needs="submitter",
     status=201,
-    problems=("refused",),
     example={"barcode": "4006381333931", "by": "ada"},
     example_answer={"labware": "P7"},
 )
@@ -249,13 +246,12 @@ async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> Labw
     return LabwareReference(labware)
 
 
-@Operation(
+@command(
     route="POST /labware/{labware}/owner",
     client=Method("give", take=None, repeat=True),
     summary="Give labware to another owner",
     needs="submitter",
     status=201,
-    problems=("refused",),
     example={"to": "user:bo", "by": "ada"},
     example_answer={"labware": "P7", "owner": "user:bo"},
 )
@@ -270,16 +266,13 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
     return LabwareOwner(path.labware, body.to)
 
 
-@Operation(
+@submission(
     route="POST /samples",
     client=Method("_register_sheet", take="plates", repeat=True),
     summary="Register the samples in the wells of plates",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
     example_answer={"plates": {"P7": 1}},
-    largest_body=LARGEST_BODY,
 )
 async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     """A sheet with faults is refused completely; the answer lists the places of all faults."""

@@ -31,7 +31,7 @@ from labos.http.bookings import (
     select_bookings,
 )
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read
 from labos.services.shown import read_texts
 
 MEDIA_TYPE = "text/calendar"
@@ -60,11 +60,10 @@ _BOOKING = {
 _TIME = {name: _BOOKING[name] for name in ("target", "begins_at", "ends_at", "user", "group", "why", "now")}
 
 
-@Operation(
+@read(
     route="GET /bookings",
     client=Method("bookings", "target", take="bookings"),
     summary="List the bookings",
-    needs="viewer",
     problems=("not_found",),
     example_answer={"bookings": [_BOOKING]},
 )
@@ -103,23 +102,21 @@ async def make_booking(call: Call, body: NewBooking) -> BookingView:
     return make_view(find_booking(call.kernel.state, events[0].booking), events[0].over)  # type: ignore[attr-defined]
 
 
-@Operation(
+@read(
     route="GET /bookings/{booking}",
     client=Method("booking"),
     summary="A booking",
-    needs="viewer",
     example_answer=_BOOKING,
 )
 def get_booking(call: Call, path: OfBooking) -> BookingView:
     return make_view(find_booking(call.kernel.state, path.booking))
 
 
-@Operation(
+@command(
     route="POST /bookings/{booking}/change",
     client=Method("change_booking", repeat=True),
     summary="Change the time or the owner of a booking",
     needs="submitter",
-    problems=("refused",),
     example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
     example_answer=_BOOKING,
 )
@@ -132,12 +129,11 @@ async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> Bo
     return make_view(find_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
 
 
-@Operation(
+@command(
     route="POST /bookings/{booking}/cancel",
     client=Method("cancel_booking", take=None, key="new"),
     summary="Cancel a booking, or one time of it",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "not needed"},
     example_answer={"booking": "B3", "begins_at": 0},
 )
@@ -148,11 +144,10 @@ async def cancel_booking(call: Call, path: OfBooking, body: BookingCancel) -> Bo
     return BookingCancelled(path.booking, body.begins_at)
 
 
-@Operation(
+@read(
     route="GET /calendar",
     client=Method("calendar", "since, until, target"),
     summary="List the booked times",
-    needs="viewer",
     problems=("not_found",),
     example_answer={
         "since": _AT,
@@ -165,13 +160,12 @@ def show_calendar(call: Call, query: CalendarQuery) -> CalendarView:
     return make_calendar(call.service, query, call.kernel.clock.now_ns())
 
 
-@Operation(
+@read(
     route="GET /calendar.ics",
     client=Method("calendar_file", "target", without=("token",)),
     answer=bytes,
     media=(MEDIA_TYPE,),
     summary="The calendar for calendar programs",
-    needs="viewer",
     by_link=True,
     problems=("not_found",),
 )

@@ -7,9 +7,8 @@ import msgspec
 from labos.core.lengths import Drift, find_drifts
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
-from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, list_operations, read, submission
 from labos.planning.lab_forecast import LabForecast
 from labos.spec.findings import Finding
 
@@ -45,11 +44,10 @@ FORECAST_S = 180.0
 """How many seconds the lab may take for a forecast."""
 
 
-@Operation(
+@read(
     route="GET /forecast",
     client=Method("forecast", timeout_s=FORECAST_S),
     summary="Forecast when runs start and end, and when a person is needed",
-    needs="viewer",
     problems=("refused",),
 )
 async def get_forecast(call: Call) -> Forecast:
@@ -61,14 +59,11 @@ async def get_forecast(call: Call) -> Forecast:
     return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
-@Operation(
+@submission(
     route="POST /runs/forecast",
     client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
     summary="Forecast when a run would start and end, without submitting it",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-    largest_body=LARGEST_BODY,
 )
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
@@ -79,19 +74,16 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     return RunForecast(hide_others(forecast, call), planned.findings)
 
 
-@Operation(
+@submission(
     route="POST /campaigns/forecast",
     client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
     summary="Forecast a campaign and its needs, without submitting it",
     tag="campaigns",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={
         "text": _CAMPAIGN,
         "workflow": {"text": _TIMED, "name": "seal.yaml"},
         "user": "ada",
     },
-    largest_body=LARGEST_BODY,
 )
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """The campaign is checked row by row. Nothing is submitted or stored. It counts as approved."""

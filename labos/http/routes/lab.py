@@ -13,7 +13,7 @@ from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
@@ -57,12 +57,11 @@ _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
 _CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
 
 
-@Operation(
+@read(
     route="GET /health",
     client=Method("health"),
     at_kernel=True,
     summary="Show whether the kernel works",
-    needs="viewer",
 )
 async def get_health(call: Call) -> Health:
     """Probes can use `/health`, which answers `{"status": …}` and needs no user."""
@@ -82,23 +81,21 @@ async def get_health(call: Call) -> Health:
     )
 
 
-@Operation(
+@read(
     route="GET /state",
     client=Method("state"),
     answer=LabView,
     summary="Show the present state of the lab",
-    needs="viewer",
 )
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Requests at the same time share one answer, which is newer than each of them."""
     return wire.answer_encoded(await call.api.state_for(call.viewer, waits=query.waits).get())
 
 
-@Operation(
+@read(
     route="GET /inventory",
     client=Method("inventory"),
     summary="Show the resources that are left, and when they run out",
-    needs="viewer",
 )
 def get_inventory(call: Call) -> Inventory:
     """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
@@ -107,11 +104,10 @@ def get_inventory(call: Call) -> Inventory:
     return count_inventory(call.kernel.state, now, iso_time(now)[:10])
 
 
-@Operation(
+@read(
     route="GET /nodes",
     client=Method("_list_nodes", take="modules"),
     summary="Ask the nodes of modules for their present state",
-    needs="viewer",
     example_answer={"modules": [_NODE]},
 )
 async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:

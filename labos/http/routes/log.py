@@ -12,7 +12,7 @@ from labos.http import wire
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, list_operations, read
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
@@ -31,12 +31,11 @@ CONNECTION = "labos.connection"
 """The key in a request's scope with its connection."""
 
 
-@Operation(
+@read(
     route="GET /events",
     client=Method("events", by_hand=True),
     answer=EventPage,
     summary="Committed events in order",
-    needs="viewer",
 )
 async def list_events(call: Call, query: EventsQuery) -> Response:
     """One page, at most 1000 events. For the next page, ask with `after` = `position` of the answer."""
@@ -60,14 +59,13 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
 
 
-@Operation(
+@read(
     route="GET /events/stream",
     client=Method("events", by_hand=True),
     answer=str,
     media=(STREAM_TYPE,),
     headers=("Last-Event-ID",),
     summary="Committed events as a stream",
-    needs="viewer",
 )
 async def follow_events(call: Call, query: EventFilter) -> Response:
     """A stream of server-sent events without end: `id` is the position, `data` is the event. The header
@@ -98,7 +96,7 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
             call.api.ends.forget_stream(shown, end)
 
 
-@Operation(
+@read(
     route="GET /files/{sha256}",
     client=Method("file", by_hand=True),
     answer=bytes,
@@ -107,7 +105,6 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
     other_statuses={206: "The requested part", 304: "The file has not changed"},
     problems=("range_not_satisfiable", "log_damaged"),
     summary="The content of a file",
-    needs="viewer",
 )
 async def get_file(call: Call, path: OfFile) -> Response:
     """A file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With `Range:

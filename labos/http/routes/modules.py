@@ -25,7 +25,7 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
 from labos.http.teaching import LocationPose, make_locations, teach
@@ -83,12 +83,11 @@ class WorkcellReference(msgspec.Struct, frozen=True):
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
 
-@Operation(
+@command(
     route="POST /modules/{module}/out-of-service",
     client=Method("take_out", "module, why, by, until_ns=until", take=None),
     summary="Take a module out of service",
     needs="operator",
-    problems=("refused",),
     example={"why": "new foil", "by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -101,12 +100,11 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
-@Operation(
+@command(
     route="POST /modules/{module}/in-service",
     client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
     summary="Put a module back in service",
     needs="operator",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -115,12 +113,11 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
     return ModuleReference(path.module)
 
 
-@Operation(
+@command(
     route="POST /modules/{module}/trace",
     client=Method("trace", "module, by='somebody'", take="file", repeat=True),
     summary="Start or stop the transcript of a device's links",
     needs="operator",
-    problems=("refused",),
     example={"by": "ada", "on": True},
     example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
 )
@@ -147,11 +144,10 @@ async def replenish_resource(call: Call, path: OfModule, body: Replenishment) ->
     return ReplenishResult(path.module, body.resource, amount)
 
 
-@Operation(
+@read(
     route="GET /modules/{module}/locations",
     client=Method("locations", take="locations"),
     summary="Show the poses of a manipulator by station",
-    needs="viewer",
     example_answer={
         "locations": {"sealer.default": {"pose": [190.1], "version": 2, "proven": True, "types": {}}}
     },
@@ -162,13 +158,12 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
-@Operation(
+@command(
     route="POST /modules/{module}/locations",
     client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
     summary="Teach a manipulator the pose for a station",
     needs="operator",
     status=201,
-    problems=("refused",),
     example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
     example_answer={"version": 3},
 )
@@ -177,13 +172,12 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
-@Operation(
+@command(
     route="POST /modules/{module}/calibrations",
     client=Method("calibrate", "module, by", key="new"),
     summary="Record a calibration of a module",
     needs="operator",
     status=201,
-    problems=("refused",),
     example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
     example_answer={
         "module": "rpl/ot2_cp_gamma",
@@ -225,14 +219,13 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
-@Operation(
+@command(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
     summary="Request access to a workcell",
     tag="workcells",
     needs="operator",
     status=201,
-    problems=("refused",),
     example={"by": "ada", "why": "a plate is askew"},
     example_answer={"workcell": "rpl", "parking": ["R7"]},
 )
@@ -243,13 +236,12 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
-@Operation(
+@command(
     route="POST /workcells/{workcell}/access/end",
     client=Method("_end_workcell_access", take=None),
     summary="End the access to a workcell",
     tag="workcells",
     needs="operator",
-    problems=("refused",),
     example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
     example_answer={"workcell": "rpl"},
 )

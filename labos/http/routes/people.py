@@ -25,7 +25,7 @@ from labos.errors import Forbidden, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Name, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, command, list_operations, read
 from labos.http.queries import OfGroup, OfUser
 
 Subject = Annotated[Name, says("`user:ID` or `group:NAME`")]
@@ -109,11 +109,10 @@ _USER = {
 _GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
 
 
-@Operation(
+@read(
     route="GET /users",
     client=Method("users", take="users"),
     summary="List the users and their roles",
-    needs="viewer",
     example_answer={"users": [_USER], "open": False},
 )
 def list_users(call: Call) -> UserList:
@@ -121,13 +120,12 @@ def list_users(call: Call) -> UserList:
     return UserList([_make_user_view(state, name) for name in state.users.known], state.users.is_open)
 
 
-@Operation(
+@command(
     route="POST /users",
     client=Method("add_user", take=None),
     summary="Add a user: a person or a program",
     needs="admin",
     status=201,
-    problems=("refused",),
     example={"user": "bo", "by": "ada"},
     example_answer={**_USER, "id": "bo", "roles": {}},
 )
@@ -143,23 +141,21 @@ async def add_user(call: Call, body: NewUser) -> UserView:
     return await _change_user(call, AddUser(body.user, body.kind, body.role, body.scope), body.by)
 
 
-@Operation(
+@read(
     route="GET /users/{user}",
     client=Method("user"),
     summary="Show a user and the user's roles",
-    needs="viewer",
     example_answer=_USER,
 )
 def get_user(call: Call, path: OfUser) -> UserView:
     return _make_user_view(call.kernel.state, path.user)
 
 
-@Operation(
+@command(
     route="POST /users/{user}/disable",
     client=Method("disable_user", take=None, repeat=True),
     summary="Disable a user",
     needs="admin",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={**_USER, "disabled": True},
 )
@@ -168,12 +164,11 @@ async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
-@Operation(
+@command(
     route="POST /users/{user}/enable",
     client=Method("enable_user", take=None, repeat=True),
     summary="Enable a disabled user",
     needs="admin",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer=_USER,
 )
@@ -186,24 +181,22 @@ async def _change_user(call: Call, command: AddUser | DisableUser | EnableUser, 
     return _make_user_view(call.kernel.state, command.user)
 
 
-@Operation(
+@read(
     route="GET /groups",
     client=Method("groups", take="groups"),
     summary="Groups, their members and their roles",
-    needs="viewer",
     example_answer={"groups": [_GROUP]},
 )
 def list_groups(call: Call) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@Operation(
+@command(
     route="POST /groups",
     client=Method("add_group", take=None),
     summary="Add a group",
     needs="admin",
     status=201,
-    problems=("refused",),
     example={"group": "chemistry", "by": "ada"},
     example_answer={**_GROUP, "members": [], "roles": {}},
 )
@@ -212,12 +205,11 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
-@Operation(
+@command(
     route="POST /groups/{group}/remove",
     client=Method("remove_group", take=None),
     summary="Remove a group",
     needs="admin",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"groups": []},
 )
@@ -227,12 +219,11 @@ async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@Operation(
+@command(
     route="POST /groups/{group}/members",
     client=Method("add_member", take=None, repeat=True),
     summary="Add a user to a group",
     needs="admin",
-    problems=("refused",),
     example={"user": "ada", "by": "ada"},
     example_answer=_GROUP,
 )
@@ -241,12 +232,11 @@ async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
-@Operation(
+@command(
     route="POST /groups/{group}/members/remove",
     client=Method("remove_member", take=None, repeat=True),
     summary="Take a user out of a group",
     needs="admin",
-    problems=("refused",),
     example={"user": "ada", "by": "ada"},
     example_answer={**_GROUP, "members": []},
 )
@@ -259,12 +249,11 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
     return _make_group_view(call.kernel.state, group)
 
 
-@Operation(
+@command(
     route="POST /roles/grant",
     client=Method("grant_role", take=None, repeat=True),
     summary="Give a user or a group a role",
     needs="admin",
-    problems=("refused",),
     example={"subject": "user:ada", "role": "operator", "scope": "rpl", "by": "ada"},
     example_answer={"subject": "user:ada", "scope": "rpl", "role": "operator"},
 )
@@ -274,12 +263,11 @@ async def grant_role(call: Call, body: Grant) -> GrantView:
     return GrantView(body.subject, body.scope, body.role)
 
 
-@Operation(
+@command(
     route="POST /roles/revoke",
     client=Method("revoke_role", take=None, repeat=True),
     summary="Take a role away",
     needs="admin",
-    problems=("refused",),
     example={"subject": "user:ada", "scope": "rpl", "by": "ada"},
     example_answer={"subject": "user:ada", "scope": "rpl", "role": ""},
 )

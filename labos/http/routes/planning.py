@@ -16,9 +16,8 @@ from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
-from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read, submission
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
@@ -92,12 +91,11 @@ class CheckedRun(msgspec.Struct, frozen=True):
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 
-@Operation(
+@read(
     route="GET /modules/{module}/actions",
     client=Method("actions"),
     summary="List the actions of a module",
     tag="modules",
-    needs="viewer",
 )
 async def list_actions(call: Call, path: OfModule) -> ActionList:
     """The actions and their arguments, as a step of a workflow uses them."""
@@ -117,11 +115,10 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
     return ActionList(name, spec.driver, found.description, actions)
 
 
-@Operation(
+@read(
     route="GET /workcells/{workcell}/order",
     client=Method("suggested_order"),
     summary="Show the order that a planner suggests for the next steps of a workcell",
-    needs="viewer",
     problems=("not_found",),
 )
 async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
@@ -189,15 +186,12 @@ class StepsLeft(msgspec.Struct, frozen=True):
     steps: int
 
 
-@Operation(
+@submission(
     route="POST /runs/check",
     client=Method("_check_run", "workflow, user=''", repeat=True),
     summary="Check a run of a workflow without submitting it",
     tag="runs",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-    largest_body=LARGEST_BODY,
 )
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""

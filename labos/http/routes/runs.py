@@ -26,7 +26,7 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read, submission
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
@@ -114,11 +114,10 @@ _RUN = {
 }
 
 
-@Operation(
+@read(
     route="GET /runs",
     client=Method("runs", "after"),
     summary="List the runs that have not ended, and the last ended ones",
-    needs="viewer",
 )
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
     """A page of the runs that have not ended, in the order of their submission. While there are `more`, ask
@@ -148,34 +147,28 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
 
 
-@Operation(
+@submission(
     route="POST /runs",
     client=Method("_submit_run", "workflow, user", key="given"),
     summary="Queue a run of a workflow",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example=_RUN,
     example_answer={"run": "R1", "warnings": []},
-    largest_body=LARGEST_BODY,
 )
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     run, findings = await call.service.submit(body, call.key)
     return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
-@Operation(
+@submission(
     route="POST /runs/batch",
     client=Method("_submit_runs", "workflow, payloads, user", key="given"),
     summary="Queue a run of a workflow for each payload, all of them or none",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
     example_answer={"runs": ["R1", "R2"], "warnings": []},
-    largest_body=LARGEST_BODY,
 )
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     """The runs are queued in one step: all of them, or none. So the first one starts when the lab knows the
@@ -185,11 +178,10 @@ async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     return RunsSubmission(runs, findings, tuple(filter(None, approvals)))
 
 
-@Operation(
+@read(
     route="GET /runs/{run}",
     client=Method("_get_run"),
     summary="Show a run with its steps, or its end",
-    needs="viewer",
 )
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.read_story(path.run, query.wait)
@@ -198,12 +190,11 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     return make_from(RunDetail, story)
 
 
-@Operation(
+@command(
     route="POST /runs/{run}/cancel",
     client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
     summary="Cancel a run",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "wrong plate"},
     example_answer={"run": "R1"},
 )
@@ -216,12 +207,11 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@command(
     route="POST /runs/{run}/pause",
     client=Method("pause", "run, by='somebody'", take=None, repeat=True),
     summary="Pause a run: no further step starts",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "lunch"},
     example_answer={"run": "R1"},
 )
@@ -231,12 +221,11 @@ async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@command(
     route="POST /runs/{run}/resume",
     client=Method("resume", "run, by='somebody'", take=None, repeat=True),
     summary="Resume a paused run",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"run": "R1"},
 )
@@ -246,18 +235,15 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@submission(
     route="POST /experiments",
     client=Method("_start_experiment", "name, user", key="given"),
     summary="Start an experiment",
     tag="experiments",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
     example_answer={"experiment": "E1"},
-    largest_body=LARGEST_BODY,
 )
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
     """An application starts. From now on it has to send a note or a heartbeat at least every 30 s; otherwise
@@ -267,13 +253,12 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
-@Operation(
+@command(
     route="POST /experiments/{experiment}/resume",
     client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
     summary="Resume an experiment",
     tag="experiments",
     needs="submitter",
-    problems=("refused",),
     headers=("LabOS-User",),
     example={"name": "color picker"},
     example_answer={"experiment": "E1"},
@@ -287,13 +272,12 @@ async def resume_experiment(
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@command(
     route="POST /experiments/{experiment}/end",
     client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
     summary="End an experiment",
     tag="experiments",
     needs="submitter",
-    problems=("refused",),
     headers=("LabOS-User",),
     example={"why": "ended"},
     example_answer={"experiment": "E1"},
@@ -304,14 +288,13 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@command(
     route="POST /experiments/{experiment}/notes",
     client=Method("note", "experiment, kind, name, facts, user", take=None),
     summary="Log a note of the application",
     tag="experiments",
     needs="submitter",
     status=201,
-    problems=("refused",),
     headers=("LabOS-User",),
     example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
     example_answer={"experiment": "E1"},

@@ -14,7 +14,7 @@ from labos.core.structs import make_from
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.queries import OfCampaign, OfExperiment, OfRun
 from labos.http.signing import expect_users
 from labos.services.shown import show_struct
@@ -64,12 +64,11 @@ def _sign(kind: Kind, example: dict[str, Any]) -> Operation:
 
 def _list(kind: Kind, signatures: str, example: dict[str, Any]) -> Operation:
     """The operation that lists the signatures for such a record; ``signatures`` is the client's method."""
-    return Operation(
+    return read(
         route=f"GET {_make_path(kind)}",
         client=Method(signatures, take="signatures"),
         summary=f"List the signatures for {_name_record(kind)}",
         tag=f"{kind}s",
-        needs="viewer",
         problems=("not_found",),
         example_answer={"signatures": [example]},
     )

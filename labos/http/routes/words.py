@@ -16,7 +16,7 @@ from labos.core.words import PREFIX, find_fields_of_words, list_references
 from labos.errors import NotFound, Refused
 from labos.http.limits import Asker, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, command, list_operations, read
 from labos.services.log import Log
 
 Found = tuple[tuple[int, str], ...]
@@ -91,11 +91,10 @@ class ErasureReference(msgspec.Struct, frozen=True):
 _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
 
 
-@Operation(
+@read(
     route="GET /words/erasures",
     client=Method("erasures", take="erasures"),
     summary="List the erasures that wait for a second person",
-    needs="viewer",
 )
 def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
@@ -119,13 +118,12 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
-@Operation(
+@command(
     route="POST /words/erasures/{erasure}/approve",
     client=Method("approve_erasure"),
     summary="Agree to an erasure, as the second person",
     needs="admin",
     at_kernel=True,
-    problems=("refused",),
     example={"by": "olga"},
     example_answer=_DONE,
 )
@@ -135,12 +133,11 @@ async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> Erasu
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
-@Operation(
+@command(
     route="POST /words/erasures/{erasure}/refuse",
     client=Method("refuse_erasure", take="erasure", repeat=True),
     summary="Refuse an erasure that waits for a second person",
     needs="admin",
-    problems=("refused",),
     example={"by": "olga"},
     example_answer={"erasure": "X1"},
 )
