@@ -59,7 +59,7 @@ class Api:
         self.kernel = service.kernel
         viewers = service.viewers
         self.ends = StreamEnds(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
-        gate.accounts.on_end.append(self.ends.cut)
+        gate.accounts.on_end.append(self.ends.cut_all)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
         self._states: dict[tuple[bool, Viewer | None], Shared] = {}

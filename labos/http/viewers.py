@@ -22,7 +22,7 @@ import structlog
 from labos.core.envelope import Record
 from labos.core.viewer import Viewer
 from labos.errors import LabosError
-from labos.http.ends import StreamEnd
+from labos.http.ends import OpenStreams, StreamEnd
 from labos.http.tail import PAGE, RETRY, STREAM_HEADERS, STREAM_TYPE, Tail
 from labos.ports import LogQuery
 from labos.store import open_store
@@ -200,7 +200,7 @@ class _Server:
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
         """The largest number of followers: the process needs files of its own, and its memory is limited."""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._ends: dict[str, set[StreamEnd]] = {}
+        self._ends = OpenStreams()
 
     def handle_message(self, message: Message, fds: Sequence[int]) -> None:
         match message:
@@ -208,17 +208,15 @@ class _Server:
                 if len(self._tasks) >= self._most:
                     os.close(fds[0])
                     return
-                end = StreamEnd(lasts_s) if key else None
-                if end is not None:  # at once: the next message may report its end
-                    self._ends.setdefault(key, set()).add(end)
+                # At once: the next message may report its end.
+                end = self._ends.begin(key, lasts_s) if key else None
                 task = asyncio.get_running_loop().create_task(
                     self._serve(socket.socket(fileno=fds[0]), message, end)
                 )
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
             case Cut(key):
-                for end in self._ends.pop(key, ()):
-                    end.come()
+                self._ends.cut(key)
             case Grown(durable):
                 self.durable = max(self.durable, durable)
                 self._grown.set()
@@ -261,14 +259,7 @@ class _Server:
         finally:
             gone.cancel()
             if end is not None:
-                end.forget()
-                self._leave(follow.key, end)
-
-    def _leave(self, key: str, end: StreamEnd) -> None:
-        left = self._ends.get(key, set())
-        left.discard(end)
-        if not left:
-            self._ends.pop(key, None)
+                self._ends.forget(follow.key, end)
 
 
 async def _await_end(reader: asyncio.StreamReader) -> None:

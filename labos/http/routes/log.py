@@ -86,14 +86,14 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
 
 async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator[bytes]:
     yield RETRY
-    shown = call.who.credential
-    end = call.api.ends.begin(shown) if shown is not None else None
+    ends, shown = call.api.ends, call.who.credential
+    end = ends.begin(shown.key, ends.find_length_s(shown)) if shown is not None else None
     try:
         async for piece in call.service.tail.follow(query, end, stored=stored, viewer=call.viewer):
             yield piece
     finally:
         if shown is not None and end is not None:
-            call.api.ends.forget_stream(shown, end)
+            ends.forget(shown.key, end)
 
 
 @read(
