@@ -28,16 +28,14 @@ class CampaignCalls(GeneratedCalls):
         ``campaign`` (empty if only checked, with ``dry_run``) and its needs as ``estimate``. The same
         ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of the
         answer is the reason. Instead of a file, give a mapping with its ``text`` and its ``workflow``."""
-        text: dict[str, Any] = dict(campaign) if isinstance(campaign, Mapping) else campaign_text(campaign)
         return self._submit_campaign_file(
-            **text, user=user, dry_run=dry_run, request=request, propose=propose
+            **campaign_text(campaign), user=user, dry_run=dry_run, request=request, propose=propose
         )
 
     def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
         """Check a campaign file as ``submit_campaign`` does, and submit nothing. Returns its needs as
         ``estimate``, and its expected times and the delays of others as ``forecast``."""
-        text: dict[str, Any] = dict(campaign) if isinstance(campaign, Mapping) else campaign_text(campaign)
-        return self._forecast_campaign_file(**text, user=user)
+        return self._forecast_campaign_file(**campaign_text(campaign), user=user)
 
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
         """Change the terms of a campaign. Returns the terms in force: a change that waits for an approval

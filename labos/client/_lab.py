@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 from labos.client._answers import LabUnreachable as LabUnreachable
 from labos.client._answers import answer_of
 from labos.client._bench import BenchCalls
+from labos.client._calls import API as API
 from labos.client._calls import LONG_POLL_S, in_path
 from labos.client._campaigns import CampaignCalls
 from labos.client._files import workflow_text
 from labos.client._runs import RunCalls
 from labos.client._tables import rows_of
-from labos.client._transport import API as API
-from labos.client._transport import Transport
 from labos.core.canonical import digest
 from labos.errors import BadInput, LogDamaged
 
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 
-class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
+class LabClient(RunCalls, BenchCalls, CampaignCalls):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
     Requests are repeated while the lab does not answer, for ``patience_s`` in all, for example during a
@@ -128,10 +127,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
         """A page of events as the lab sends it, with the position at which the next page begins."""
-        response = self._request("GET", "/events", repeat=True, params=dict(asked))
-        if response.status_code >= 400:
-            answer_of(response.status_code, response.content)
-        return bytes(response.content)
+        return self._fetch("/events", **asked)
 
     # -- experiments -------------------------------------------------------------------------
 

@@ -97,34 +97,24 @@ class ExperimentRecord:
         """The key of the request for a run."""
         return request_of(self.experiment, key)
 
-    def find_run(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> str:
+    def find_run(self, key: Key, asked: BatchRun) -> str:
         """The run in the log for a request; empty if there is none. Raises ReplayMismatch."""
-        recorded = self.past.runs.get(request)
+        recorded = self.past.runs.get(asked.key)
         if recorded is None:
             return ""
-        check_run(self.experiment, key, recorded, source["text"], payload)
+        check_run(self.experiment, key, recorded, asked.workflow["text"], asked.payload)
         return str(recorded["run"])
 
     @contextmanager
-    def expect_same(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> Iterator[None]:
-        """If the lab knows the key of a request with different content, raise ReplayMismatch with the
+    def expect_same(self, key: Key, runs: Sequence[BatchRun]) -> Iterator[None]:
+        """If the lab knows the key of a requested run with different content, raise ReplayMismatch with the
         difference."""
         try:
             yield
         except KeyReused:
             self._read_past_again()
-            self.find_run(key, request, source, payload)
-            raise
-
-    @contextmanager
-    def same_each(self, key: Key, runs: Sequence[BatchRun]) -> Iterator[None]:
-        """The same for several requests that are sent together."""
-        try:
-            yield
-        except KeyReused:
-            self._read_past_again()
             for run in runs:
-                self.find_run(key, run.key, run.workflow, run.payload)
+                self.find_run(key, run)
             raise
 
     # -- notes -------------------------------------------------------------------------------
