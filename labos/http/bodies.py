@@ -135,8 +135,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
     kind: Annotated[
-        Name,
-        says("`loop_started`, `loop_ended`, `decision`, `compute` and the like, as events.md says"),
+        Name, says("`loop_started`, `loop_ended`, `decision`, `compute` and the like, as events.md says")
     ]
     name: Annotated[Name, says("its name")]
     facts: Annotated[dict[str, Any], says("a table of anything")] = {}
@@ -260,8 +259,7 @@ class Observation(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     by: Asker = ""
     what: Annotated[
-        Name,
-        says("`empty`, a number, labware by its id or barcode, or a labware type; left out: something"),
+        Name, says("`empty`, a number, labware by its id or barcode, or a labware type; left out: something")
     ] = ""
 
 

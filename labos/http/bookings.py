@@ -72,7 +72,7 @@ class BookingCancel(By, forbid_unknown_fields=True, kw_only=True):
 
 
 class OfBooking(msgspec.Struct, frozen=True):
-    booking: Annotated[Name, msgspec.Meta(description="a booking's id", examples=["B3"])]
+    booking: Annotated[Name, says("a booking's id", "B3")]
 
 
 class BookingsQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

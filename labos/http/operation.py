@@ -71,10 +71,7 @@ class Api:
         if (waits, viewer) not in self._states and len(self._states) >= MOST_VIEWERS:
             del self._states[next(iter(self._states))]
         work = partial(self._make_view, waits=waits, viewer=viewer)
-        return self._states.setdefault((waits, viewer), Shared(work, self._flush))
-
-    async def _flush(self) -> None:
-        await self.kernel.flush()
+        return self._states.setdefault((waits, viewer), Shared(work, self.kernel.flush))
 
     @property
     def _notes(self) -> Notes:
@@ -299,7 +296,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         if shape.body is not None:
             asker = who.actor if who.is_known else ""
             arguments["body"] = await wire.read_body(
-                request, api.arriving, shape.body, self.largest_body, asker=asker
+                request, api.arriving, shape.body, self.largest_body, asker
             )
         return arguments
 

@@ -15,8 +15,6 @@ import msgspec
 
 from labos.core.bench import Labware, split_item
 from labos.core.canonical import digest
-from labos.core.decide import Command
-from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import (
     EndExperiment,
@@ -29,7 +27,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import RecordStops
 from labos.core.decide.rights import check_rights, check_role
-from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
     ExperimentId,
@@ -47,6 +45,7 @@ from labos.core.runs import RunSubmitted
 from labos.core.structs import make_from
 from labos.core.users import Role, find_person
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
+from labos.http.control import make_run_command
 from labos.http.feed import Feed
 from labos.http.limits import FileName, Files, FileText
 from labos.http.parts import Parts
@@ -377,15 +376,9 @@ class LabService:
     async def change(self, run: str, verb: str, actor: str, *, stay: bool = False, why: str = "") -> None:
         """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it is.
         ``why``: the reason for its cancellation, for the log."""
-        name = RunId(run)
-        commands: dict[str, Command] = {
-            "cancel": CancelRun(name, stay, why),
-            "pause": PauseRun(name, why),
-            "resume": ResumeRun(name),
-        }
         if self.kernel.state.runs.get(run) is None:
             await self.read_story(run)  # raises NotFound for an unknown run
-        await self.kernel.execute(commands[verb], actor)
+        await self.kernel.execute(make_run_command(verb, run, stay, why), actor)
 
     async def read_story(self, run: str, wait_s: float = 0.0) -> RunHistory:
         """A run according to the log; waits for its end for at most ``wait_s``. Raises NotFound."""
@@ -513,7 +506,16 @@ class LabService:
 
     def module(self, name: str) -> ModuleName:
         """A module by its full name, or by its local one if only one module has it. Raises NotFound."""
-        return ModuleName(self._find_one_of(name, list(self.kernel.state.modules.by_name), "module"))
+        names = list(self.kernel.state.modules.by_name)
+        found = [known for known in names if name in (known, local(known))]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise BadInput(
+                f"{name!r} is the name of several modules.", remedy=f"Write {found[0]}, for example."
+            )
+        remedy = suggest_name(local(name), map(local, names), "module")
+        raise NotFound(f"This lab has no module {name!r}.", remedy=remedy)
 
     def labware(self, name: str) -> Labware:
         """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
@@ -547,19 +549,6 @@ class LabService:
             )
         remedy = suggest_name(written, map(local, known), "station")
         raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
-
-    @staticmethod
-    def _find_one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:
-        found = [known for known in names if name in (known, local(known))]
-        if len(found) == 1:
-            return str(found[0])
-        if found:
-            raise BadInput(
-                f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, for example."
-            )
-        raise NotFound(
-            f"This lab has no {what} {name!r}.", remedy=suggest_name(local(name), map(local, names), what)
-        )
 
 
 def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:

@@ -19,7 +19,6 @@ from labos.http.limits import (
     LONGEST_NAME,
     LONGEST_PERSON,
     MOST_FILTERS,
-    SMALL_BODY,
     asker_of,
     check_fields,
     check_person,
@@ -43,9 +42,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 _log = structlog.get_logger(__name__)
 
 
-async def read_body(
-    request: Request, arriving: BodyReader, kind: type[T], most: int = SMALL_BODY, *, asker: str = ""
-) -> T:
+async def read_body(request: Request, arriving: BodyReader, kind: type[T], most: int, asker: str) -> T:
     """The request's JSON, checked against the limits. The signed-in user replaces the name in the field
     ``asker``. Raises BadInput."""
     raw = await arriving.read(request, most)
@@ -161,9 +158,7 @@ async def answer_labos_error(request: Request, error: LabosError) -> Response:
 
 async def answer_http_error(request: Request, error: HTTPException) -> Response:
     code = OF_STATUS.get(error.status_code, "bad_input")
-    found = send_problem(
-        msgspec.structs.replace(make_problem(code, _describe_http_error(request, code, error.detail)))
-    )
+    found = send_problem(make_problem(code, _describe_http_error(request, code, error.detail)))
     found.headers.update(error.headers or {})
     return found
 

@@ -13,7 +13,7 @@ from labos.core.users import LABOS, group_subject, user_subject
 from labos.errors import BadInput, Forbidden, NotSignedIn
 from labos.http import signing
 from labos.http.identity import SIGN_IN
-from labos.http.limits import Name
+from labos.http.limits import Name, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.providing import find_user_meant
@@ -32,13 +32,11 @@ from labos.services.accounts import allows
 
 
 class OfToken(msgspec.Struct, frozen=True):
-    token: Annotated[
-        Name, msgspec.Meta(description="a token's id, which is not a secret", examples=["3f9a01c4"])
-    ]
+    token: Annotated[Name, says("a token's id, which is not a secret", "3f9a01c4")]
 
 
 class TokensQuery(msgspec.Struct, frozen=True):
-    user: Annotated[Name, msgspec.Meta(description="the owner; only admins may name another user")] = ""
+    user: Annotated[Name, says("the owner; only admins may name another user")] = ""
 
 
 _TOKEN = {

@@ -30,10 +30,7 @@ from labos.spec.policy import parse_policy
 
 
 class OfProposal(msgspec.Struct, frozen=True):
-    subject: Annotated[
-        Name,
-        msgspec.Meta(description="the run, campaign or experiment that waits", examples=["R1"]),
-    ]
+    subject: Annotated[Name, says("the run, campaign or experiment that waits", "R1")]
 
 
 class ProposalView(msgspec.Struct, frozen=True):

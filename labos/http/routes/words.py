@@ -46,9 +46,7 @@ _CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
 
 
 class OfErasure(msgspec.Struct, frozen=True):
-    erasure: Annotated[
-        Name, msgspec.Meta(description="the id of an erasure that waits for a second person", examples=["X1"])
-    ]
+    erasure: Annotated[Name, says("the id of an erasure that waits for a second person", "X1")]
 
 
 class NewErasure(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
