@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 
@@ -253,21 +253,14 @@ def change_terms(state: LabState, booking: Booking, body: BookingChange) -> NewT
     if body.whom is not None:
         user, group = _find_owner(state, body.whom, body.by)
         maintenance = False
-    begins = booking.begins if body.begins_at is None else body.begins_at
-    ends = begins + booking.ends - booking.begins if body.begins_at is not None else booking.ends
-    rule = booking.rule if body.rule is None else body.rule
-    last = booking.last if body.last_at is None else body.last_at
-    return NewTerms(
-        begins=begins,
-        ends=ends if body.ends_at is None else body.ends_at,
-        user=user,
-        group=group,
-        maintenance=maintenance,
-        why=body.why,
-        zone=booking.zone if body.zone is None else body.zone,
-        rule=rule,
-        last=last if rule else 0,
-    )
+    begins, ends = body.begins_at, body.ends_at
+    if begins is not None and ends is None:
+        ends = begins + booking.ends - booking.begins
+    times = {"begins": begins, "ends": ends, "zone": body.zone, "rule": body.rule, "last": body.last_at}
+    given: dict[str, Any] = {name: value for name, value in times.items() if value is not None}
+    owner = {"user": user, "group": group, "maintenance": maintenance}
+    terms = make_from(NewTerms, booking, why=body.why, **owner, **given)
+    return terms if terms.rule else msgspec.structs.replace(terms, last=0)
 
 
 def _find_owner(state: LabState, owner: str, by: str) -> tuple[str, str]:

@@ -112,9 +112,8 @@ class Gate:
         try:
             who = await (self._find_user_by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
-        except LabosError as error:
-            if isinstance(error, NotSignedIn | Forbidden):
-                self._report_refusal(request, error)
+        except (NotSignedIn, Forbidden) as error:
+            self._report_refusal(request, error)
             raise
         return who
 

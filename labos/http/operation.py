@@ -34,7 +34,7 @@ from labos.http.identity import Gate, Who
 from labos.http.limits import LARGEST_BODY, SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
-from labos.http.recorded import RepeatedRequest
+from labos.http.recorded import answer_from_log
 from labos.http.repeats import make_digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -138,14 +138,13 @@ class Call:
 
 class AdmittedRequest(msgspec.Struct, frozen=True):
     """A request that was admitted and read: ``key`` is its idempotency key (empty: none that is used),
-    ``digest`` is a digest of the whole request, ``logged`` finds it in the log."""
+    ``digest`` is a digest of the whole request."""
 
     request: Request
     who: Who
     arguments: dict[str, msgspec.Struct]
     key: str
     digest: str
-    logged: LoggedRequest | None = None
 
 
 class Shape(msgspec.Struct, frozen=True, dict=True):
@@ -252,15 +251,13 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 digest = make_digest_of_request(
                     path, who.user or wire.read_header(request, "labos-user"), arguments
                 )
-            logged = None
+            asked, logged = AdmittedRequest(request, who, arguments, key, digest), None
             if key and not self.logs_key and api.service.marks is not None:
-                again = RepeatedRequest(api, self, request, who, arguments)
+                again = partial(answer_from_log, api, self, asked)
                 mark = mark_of(who.user, path, key)
-                logged = LoggedRequest(api.service.marks, mark, key, digest, again.answer)
+                logged = LoggedRequest(api.service.marks, mark, key, digest, again)
             if link is not None:
-                found = await link.answer(
-                    self, AdmittedRequest(request, who, arguments, key, digest, logged), work
-                )
+                found = await link.answer(self, asked, logged, work)
             elif key:
                 found = await api.idempotent.answer_once(
                     key, path, digest, work, user=who.user, logs_key=self.logs_key, logged=logged

@@ -39,10 +39,10 @@ async def register_samples(
     only = _find_plate(service, labware, station)
     plates = _sort_by_plate(service, rows, only, report)
     for plate, lines in plates.items():
-        labware = service.kernel.state.bench.labware[plate]
-        kind = service.find_labware_kind(labware)
+        item = service.kernel.state.bench.labware[plate]
+        kind = service.find_labware_kind(item)
         if kind is not None:  # nothing can be checked for a type without a description
-            await service.run_beside(0, check_wells, lines, labware.type, kind.wells, report)
+            await service.run_beside(0, check_wells, lines, item.type, kind.wells, report)
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:

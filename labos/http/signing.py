@@ -207,12 +207,6 @@ def give_cookie(gate: Gate, answer: Response, secret: str, session: Session) -> 
     )
 
 
-def expect_admin(call: Call) -> None:
-    """Raises Forbidden."""
-    if not is_admin(call):
-        raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
-
-
 def answer_secret(value: msgspec.Struct, status: int = 200) -> Response:
     # Not for a cache: it may contain a secret.
     headers = {"cache-control": "no-store"}

@@ -20,7 +20,6 @@ from labos.http.providing import find_user_meant
 from labos.http.queries import OfUser
 from labos.http.signing import (
     answer_secret,
-    expect_admin,
     expect_self_or_admin,
     expect_users,
     give_cookie,
@@ -360,7 +359,8 @@ async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
 )
 async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
     """The account with this `subject` at the identity provider belongs to this user."""
-    expect_admin(call)
+    if not is_admin(call):
+        raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
     expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
     return signing.UserReference(path.user)

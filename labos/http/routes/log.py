@@ -45,13 +45,8 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
 
     if query.wait and not is_there():
         await call.service.feed.wait_until(is_there, query.wait, each_s=0.01)
-    wanted = msgspec.structs.replace(
-        _make_log_query(query),
-        last=query.last or None,
-        upto=query.upto or None,
-        since_ns=query.since or None,
-        until_ns=query.until or None,
-    )
+    times = {"since_ns": query.since or None, "until_ns": query.until or None}
+    wanted = _make_log_query(query, last=query.last or None, upto=query.upto or None, **times)
     if query.stored:
         call.request.scope[STORED] = True
     return wire.answer_encoded(
@@ -124,8 +119,8 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
     return bool(await connection.give_away(lambda s: viewers.take_over(s, follow, durable)))
 
 
-def _make_log_query(query: EventFilter) -> LogQuery:
-    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
+def _make_log_query(query: EventFilter, **more: int | None) -> LogQuery:
+    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream), **more)
 
 
 OPERATIONS = list_operations(globals(), "log")
