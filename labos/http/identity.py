@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import structlog
 from starlette.requests import Request
 
-from labos.core.users import User, on_behalf
+from labos.core.users import Users, on_behalf
 from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
 from labos.services.accounts import HOME, Accounts, Credential, Need, allows, make_digest
 
@@ -52,17 +52,6 @@ class Who(msgspec.Struct, frozen=True):
     def is_known(self) -> bool:
         """Whether this name is used, and not the name in the request."""
         return self.how in ("token", "session")
-
-
-class Users(Protocol):
-    """The lab's users, as far as they are needed to admit requests."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether there are no users: everybody may do everything."""
-
-    def get(self, user: str) -> User | None:
-        """A user who may act."""
 
 
 class Gate:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -87,6 +87,7 @@ STORIES_KEPT = 200
 LONG_TEXT = 64 * 1024
 """Reading a file with at least so many characters takes a while."""
 
+N = TypeVar("N", ModuleName, StationName)
 R = TypeVar("R")
 
 
@@ -508,14 +509,7 @@ class LabService:
         """A module by its full name, or by its local one if only one module has it. Raises NotFound."""
         names = list(self.kernel.state.modules.by_name)
         found = [known for known in names if name in (known, local(known))]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise BadInput(
-                f"{name!r} is the name of several modules.", remedy=f"Write {found[0]}, for example."
-            )
-        remedy = suggest_name(local(name), map(local, names), "module")
-        raise NotFound(f"This lab has no module {name!r}.", remedy=remedy)
+        return _find_only(found, name, names, "module")
 
     def labware(self, name: str) -> Labware:
         """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
@@ -541,14 +535,17 @@ class LabService:
             match for cell, specs in named.items() for match in Stations(cell, specs).list_matches(written)
         ]
         found = [station for station in found if local(station) == written] or found
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise BadInput(
-                f"{name!r} is the name of several stations.", remedy=f"Write {found[0]}, for example."
-            )
-        remedy = suggest_name(written, map(local, known), "station")
-        raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
+        return _find_only(found, name, known, "station")
+
+
+def _find_only(found: Sequence[N], name: str, known: Iterable[N], what: str) -> N:
+    """The only one of those ``found`` under a name. Raises NotFound, BadInput if there are several."""
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, for example.")
+    remedy = suggest_name(local(name), map(local, known), what)
+    raise NotFound(f"This lab has no {what} {name!r}.", remedy=remedy)
 
 
 def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:
