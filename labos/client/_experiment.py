@@ -307,7 +307,11 @@ class Experiment(LoggedEvents):
         PlaceUnavailable."""
         taken = self._take("compute_all", function, key)
         with self._keep_key(taken):
-            begun = self._computations.submit_all(function, arguments, where, taken)
+            submit = self._computations.submit
+            begun = [
+                submit(function, (each,), {}, where, f"{taken}-{number}")
+                for number, each in enumerate(arguments)
+            ]
             return [each.result() for each in begun]
 
     def run_flow(

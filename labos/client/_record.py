@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -26,7 +26,7 @@ from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
     from labos.client._batches import BatchRun
-    from labos.client._lab import LabClient
+    from labos.client._experiment import Experiment
 
 LARGEST_IN_EVENT = 16 * 1024
 """The largest number of bytes of a result in its event; a larger one is stored as a file of the lab."""
@@ -43,18 +43,10 @@ KINDS = {
 """The kind of call in a key, where it differs from the name of the method."""
 
 
-class RecordedExperiment(Protocol):
-    """The part of an experiment that is needed here."""
-
-    lab: LabClient
-    user: str
-    id: str
-
-
 class ExperimentRecord:
     """The record of one experiment."""
 
-    def __init__(self, experiment: RecordedExperiment) -> None:
+    def __init__(self, experiment: Experiment) -> None:
         self._of = experiment
         self._keys = CallKeys()
         self.past = ExperimentPast(experiment.lab, "")

@@ -6,13 +6,13 @@ a person has to end it. A reason's ``code`` is its name in tables, metrics and a
 
 from __future__ import annotations
 
-import re
 from enum import StrEnum
 from typing import Any, ClassVar, Literal
 
 import msgspec
 
 from labos.core.ids import local, split_key
+from labos.core.texts import make_code
 
 
 class Urgency(StrEnum):
@@ -26,11 +26,6 @@ PASSES, PERSON = Urgency.PASSES, Urgency.PERSON
 
 Key = Literal["run", "module", "station", "zone", "access", "quota", "cell", "near", "window", "booking"]
 """The kinds of keys whose change may end a wait."""
-
-
-def make_code(name: str) -> str:
-    """The code of a reason's type: ``ModuleBusy`` is ``module_busy``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
 class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
