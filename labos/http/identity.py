@@ -150,13 +150,9 @@ class Gate:
         credential = await self.accounts.find(shown or cookie)
         if credential.how != ("token" if shown else "session"):
             raise NotSignedIn("Send the token in the header Authorization.", remedy=SIGN_IN)
-        return Who(credential.how, credential.user, self._find_behalf(request, credential.user), credential)
-
-    def _find_behalf(self, request: Request, user: str) -> str:
-        """The person for whom a program acts. Raises Forbidden."""
-        named = request.headers.get(BEHALF, "")
-        self._expect_service(named, user)
-        return named
+        behalf = request.headers.get(BEHALF, "")
+        self._expect_service(behalf, credential.user)
+        return Who(credential.how, credential.user, behalf, credential)
 
     def _expect_service(self, named: str, user: str) -> None:
         """Raises Forbidden if a user may not act for the named person."""

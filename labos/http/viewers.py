@@ -45,7 +45,7 @@ HEAD = b"HTTP/1.1 200 OK\r\ncontent-type: %b; charset=utf-8\r\n%bconnection: clo
 _log = structlog.get_logger(__name__)
 
 
-class OpenLog(msgspec.Struct, frozen=True, tag="begin"):
+class OpenLog(msgspec.Struct, frozen=True):
     """Where the log is. A URL may contain a password, so it is not passed on the command line."""
 
     database: str
@@ -74,7 +74,7 @@ class Cut(msgspec.Struct, frozen=True, tag="cut"):
     key: str
 
 
-Message = OpenLog | Grown | Follow | Cut
+Message = Grown | Follow | Cut
 _encode = msgspec.json.Encoder().encode
 _decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
 
@@ -270,38 +270,33 @@ async def _await_end(reader: asyncio.StreamReader) -> None:
 
 
 async def serve(link: socket.socket) -> None:
-    """Serve followers until the kernel closes the link."""
+    """Serve followers until the kernel closes the link. The first message says where the log is."""
+    begin = link.recv(PACKET)
+    if not begin:
+        return
+    server = _Server(msgspec.json.decode(begin, type=OpenLog))
     link.setblocking(False)
     loop = asyncio.get_running_loop()
     over = loop.create_future()
-    server: _Server | None = None
-    keeping: asyncio.Task[None] | None = None
 
     def receive() -> None:
-        nonlocal server, keeping
         while not over.done():
             try:
                 packet, fds, _, _ = socket.recv_fds(link, PACKET, 1)
             except BlockingIOError:
                 return
             except OSError:
-                packet = b""
-                fds = []
-            if not packet:
+                packet, fds = b"", []
+            if packet:
+                server.handle_message(_decoder.decode(packet), fds)
+            else:
                 over.set_result(None)
-                return
-            message = _decoder.decode(packet)
-            if isinstance(message, OpenLog):
-                server = _Server(message)
-                keeping = loop.create_task(server.keep_up())
-            elif server is not None:
-                server.handle_message(message, fds)
 
     loop.add_reader(link, receive)
     receive()
+    keeping = loop.create_task(server.keep_up())
     await over
-    if keeping is not None:
-        keeping.cancel()
+    keeping.cancel()
 
 
 if __name__ == "__main__":

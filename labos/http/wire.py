@@ -157,19 +157,14 @@ async def answer_labos_error(request: Request, error: LabosError) -> Response:
 
 
 async def answer_http_error(request: Request, error: HTTPException) -> Response:
-    code = OF_STATUS.get(error.status_code, "bad_input")
-    found = send_problem(make_problem(code, _describe_http_error(request, code, error.detail)))
+    code, path = OF_STATUS.get(error.status_code, "bad_input"), request.url.path[:LONGEST_NAME]
+    details = {
+        "not_found": f"There is nothing at {path!r}.",
+        "method_not_allowed": f"{path!r} does not support {request.method[:20]!r}.",
+    }
+    found = send_problem(make_problem(code, details.get(code, error.detail)))
     found.headers.update(error.headers or {})
     return found
-
-
-def _describe_http_error(request: Request, code: str, detail: str) -> str:
-    path = request.url.path[:LONGEST_NAME]
-    if code == "not_found":
-        return f"There is nothing at {path!r}."
-    if code == "method_not_allowed":
-        return f"{path!r} does not support {request.method[:20]!r}."
-    return detail
 
 
 async def report_fault(request: Request, error: Exception) -> Response:

@@ -108,16 +108,9 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
             )
 
 
-def _list_connection(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
+def _list_connection(spec: ModuleSpec) -> tuple[Any, ...]:
     """The fields that determine how a module's device is reached."""
-    config = spec.config
-    return (
-        spec.driver,
-        config.get("interface"),
-        config.get("config"),
-        config.get("about"),
-        config.get("extends"),
-    )
+    return (spec.driver, *map(spec.config.get, ("interface", "config", "about", "extends")))
 
 
 def _sort_by_name(

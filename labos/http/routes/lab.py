@@ -7,6 +7,7 @@ from starlette.responses import Response
 
 from labos.core.modules import StopReported
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.http import wire
 from labos.http.asking import NodeAnswer, ask_nodes
 from labos.http.bodies import EmergencyStop
@@ -67,15 +68,14 @@ async def get_health(call: Call) -> Health:
     """Probes can use `/health`, which answers `{"status": …}` and needs no user."""
     kernel, parts = call.kernel, call.service.parts
     lab, check = kernel.state.lab, parts.log_check
-    return Health(
+    return make_from(
+        Health,
+        lab,
         status="failed" if kernel.failed.done() else "ok",
         lab=lab.id,
-        name=lab.name,
-        epoch=lab.epoch,
         position=kernel.durable,
         suspended=kernel.suspended,
         simulated=parts.simulated,
-        pace=lab.pace,
         broken_drivers=dict(parts.broken_drivers),
         log_check=LogCheckView(**check.make_view()) if check is not None else None,
     )
