@@ -243,12 +243,6 @@ class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=Tru
     ] = None
 
 
-class LabwarePlacement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    station: Annotated[Name, says("the station")]
-    labware: Annotated[Name, says("its type")]
-    by: Asker = ""
-
-
 class BarcodeLabel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     barcode: Annotated[Name, says("the text of the barcode")]
     by: Asker = ""

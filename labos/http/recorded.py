@@ -86,13 +86,9 @@ class RecordedKernel(FoldedLab):
             return decision
         if decision == []:
             return []
-        return list(self._fold_next())
+        return list(self.fold_next())
 
-    def events_of_command(self) -> list[Event]:
-        """The events of the request's next command."""
-        return list(self._fold_next())
-
-    def _fold_next(self) -> Iterator[Event]:
+    def fold_next(self) -> Iterator[Event]:
         """The events of the request's next command; the state continues to the last of them."""
         cause = ""
         for record in self._records:
@@ -158,7 +154,7 @@ async def answer_from_log(
         async with _turn:  # folding a log takes a while
             kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
         if operation.recall is not None:
-            return respond(operation, operation.recall(kernel.events_of_command()))
+            return respond(operation, operation.recall(list(kernel.fold_next())))
         parts = _RecordedParts(api.service.parts, kernel)
         call = Call(api, asked.request, asked.who, LabService(parts, Feed()))
         return await operation.call(call, asked.arguments)

@@ -136,7 +136,7 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
         f"{certificate.serial_number:x}",
         _convert_to_ns(certificate.not_valid_before_utc),
         _convert_to_ns(certificate.not_valid_after_utc),
-        addresses_of(certificate),
+        (*_list_names(certificate, x509.DNSName), *_list_names(certificate, x509.IPAddress)),
         own,
     )
 
@@ -144,11 +144,6 @@ def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: boo
 def end_of(certificate: x509.Certificate) -> int:
     """The end of its validity (UTC ns)."""
     return _convert_to_ns(certificate.not_valid_after_utc)
-
-
-def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
-    """The addresses at which others may connect to its owner."""
-    return (*_list_names(certificate, x509.DNSName), *_list_names(certificate, x509.IPAddress))
 
 
 def _list_names(certificate: x509.Certificate, kind: type[x509.GeneralName]) -> list[str]:

@@ -11,6 +11,7 @@ from labos.core.decide.observation import ObserveStation
 from labos.core.ids import LabwareId, Owner, StationName, split_key
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwareRemoved, LabwareUncertain
+from labos.core.structs import make_from
 from labos.core.topics import Choice
 from labos.errors import NotFound
 from labos.http.bodies import (
@@ -18,7 +19,6 @@ from labos.http.bodies import (
     BenchDeclaration,
     Handover,
     InterventionAnswer,
-    LabwarePlacement,
     Observation,
     SampleSheet,
 )
@@ -30,7 +30,7 @@ from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
 from labos.http.service import LabService
-from labos.http.stock import Load, Unload, load, unload
+from labos.http.stock import LabwarePlacement, Load, Unload, load, unload
 
 EMPTY = "empty"
 
@@ -119,7 +119,7 @@ async def answer_intervention(call: Call, path: OfIntervention, body: Interventi
     example_answer={"labware": "P7"},
 )
 async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
-    names = await load(call.service, Load(station=body.station, labware=body.labware), body.by)
+    names = await load(call.service, make_from(Load, body), body.by)
     return LabwareReference(names[0] if names else "")
 
 
