@@ -2,10 +2,10 @@
 derived from it.
 
 The parameters of a handler show what it reads: ``path``, ``query`` and ``body`` are structs, and its return
-value is a struct too. An operation decorates its handler; ``read``, ``command`` and ``submission`` are
+value is a struct too. An operation decorates its handler; ``read``, ``change`` and ``submit`` are
 operations whose values are given in part::
 
-    @command(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
+    @change(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
 
@@ -301,10 +301,10 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 read = partial(Operation, needs="viewer")
 """An operation that changes nothing."""
 
-command = partial(Operation, problems=("refused",))
+change = partial(Operation, problems=("refused",))
 """An operation with a command that the rules may forbid in the present state."""
 
-submission = partial(
+submit = partial(
     Operation,
     needs="submitter",
     problems=("not_found", "refused", "spec_error", "spec_errors"),

@@ -21,7 +21,7 @@ from labos.http.bodies import Amendment, Amounts, Asked, Limit
 from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.planning.lab_forecast import LabForecast
@@ -197,7 +197,7 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     return ProposalForecast(hide_others(forecast, call), consumables)
 
 
-@command(
+@change(
     route="POST /approvals/{subject}/approve",
     client=Method("approve", "subject, by, digest", take="digest", repeat=True),
     summary="Approve a submission, as it is or with changes",
@@ -228,7 +228,7 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
-@command(
+@change(
     route="POST /approvals/{subject}/refuse",
     client=Method("refuse", take="digest", repeat=True),
     summary="Refuse a submission",

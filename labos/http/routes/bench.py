@@ -25,7 +25,7 @@ from labos.http.bodies import (
 from labos.http.declare import declare_bench
 from labos.http.limits import check_person
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read, submission
+from labos.http.operation import Call, Operation, change, list_operations, read, submit
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
@@ -95,7 +95,7 @@ class SampleCounts(msgspec.Struct, frozen=True):
     plates: dict[str, int]
 
 
-@command(
+@change(
     route="POST /interventions/{intervention}",
     client=Method("resolve", "intervention, choice, by, note, result", take=None),
     summary="Answer a question",
@@ -230,7 +230,7 @@ async def report_round(call: Call, body: RoundReport) -> RoundResult:
     return await say(call.service, body, body.by)
 
 
-@command(
+@change(
     route="POST /labware/{labware}/barcode",
     client=Method("barcode", take=None, repeat=True),
     summary="Record the barcode of labware",
@@ -246,7 +246,7 @@ async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> Labw
     return LabwareReference(labware)
 
 
-@command(
+@change(
     route="POST /labware/{labware}/owner",
     client=Method("give", take=None, repeat=True),
     summary="Give labware to another owner",
@@ -266,7 +266,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
     return LabwareOwner(path.labware, body.to)
 
 
-@submission(
+@submit(
     route="POST /samples",
     client=Method("_register_sheet", take="plates", repeat=True),
     summary="Register the samples in the wells of plates",

@@ -20,7 +20,7 @@ from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Line, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.http.service import LabService
 from labos.services.shown import read_texts
 
@@ -233,7 +233,7 @@ def get_booking(call: Call, path: OfBooking) -> BookingView:
     return _make_view(_find_booking(call.kernel.state, path.booking))
 
 
-@command(
+@change(
     route="POST /bookings/{booking}/change",
     client=Method("change_booking", repeat=True),
     summary="Change the time or the owner of a booking",
@@ -250,7 +250,7 @@ async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> Bo
     return _make_view(_find_booking(call.kernel.state, booking.id), events[0].over)  # type: ignore[attr-defined]
 
 
-@command(
+@change(
     route="POST /bookings/{booking}/cancel",
     client=Method("cancel_booking", take=None, key="new"),
     summary="Cancel a booking, or one time of it",

@@ -31,7 +31,7 @@ from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view,
 from labos.http.cloning import clone_campaign
 from labos.http.limits import SMALL_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read, submission
+from labos.http.operation import Call, Operation, change, list_operations, read, submit
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
 from labos.services.shares import ShareAccount, make_ledger
@@ -100,7 +100,7 @@ def list_campaigns(call: Call) -> Campaigns:
     return Campaigns([make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden])
 
 
-@submission(
+@submit(
     route="POST /campaigns",
     client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
     summary="Check a campaign and submit it",
@@ -132,7 +132,7 @@ def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     return make_view(call.kernel.state, _open_campaign(call, path))
 
 
-@command(
+@change(
     route="POST /campaigns/{campaign}/pause",
     client=Method("pause_campaign", take=None, repeat=True),
     summary="Pause a campaign: no further row is submitted",
@@ -147,7 +147,7 @@ async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> C
     return CampaignReference(name)
 
 
-@command(
+@change(
     route="POST /campaigns/{campaign}/resume",
     client=Method("resume_campaign", take=None, repeat=True),
     summary="Resume a paused campaign",
@@ -161,7 +161,7 @@ async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignRef
     return CampaignReference(name)
 
 
-@command(
+@change(
     route="POST /campaigns/{campaign}/cancel",
     client=Method("cancel_campaign", take=None, repeat=True),
     summary="Cancel a campaign",
@@ -193,7 +193,7 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     return CampaignTerms(campaign.id, campaign.terms, describe_waiting(call.kernel.state, campaign.id))
 
 
-@submission(
+@submit(
     route="POST /campaigns/{campaign}/clone",
     client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
     summary="Submit a copy of a campaign",

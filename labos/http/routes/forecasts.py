@@ -8,7 +8,7 @@ from labos.core.lengths import Drift, find_drifts
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
 from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read, submission
+from labos.http.operation import Call, list_operations, read, submit
 from labos.planning.lab_forecast import LabForecast
 from labos.spec.findings import Finding
 
@@ -59,7 +59,7 @@ async def get_forecast(call: Call) -> Forecast:
     return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
-@submission(
+@submit(
     route="POST /runs/forecast",
     client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
     summary="Forecast when a run would start and end, without submitting it",
@@ -74,7 +74,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     return RunForecast(hide_others(forecast, call), planned.findings)
 
 
-@submission(
+@submit(
     route="POST /campaigns/forecast",
     client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
     summary="Forecast a campaign and its needs, without submitting it",

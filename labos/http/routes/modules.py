@@ -25,7 +25,7 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
 from labos.http.teaching import LocationPose, make_locations, teach
@@ -83,7 +83,7 @@ class WorkcellReference(msgspec.Struct, frozen=True):
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
 
-@command(
+@change(
     route="POST /modules/{module}/out-of-service",
     client=Method("take_out", "module, why, by, until_ns=until", take=None),
     summary="Take a module out of service",
@@ -100,7 +100,7 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
-@command(
+@change(
     route="POST /modules/{module}/in-service",
     client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
     summary="Put a module back in service",
@@ -113,7 +113,7 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
     return ModuleReference(path.module)
 
 
-@command(
+@change(
     route="POST /modules/{module}/trace",
     client=Method("trace", "module, by='somebody'", take="file", repeat=True),
     summary="Start or stop the transcript of a device's links",
@@ -158,7 +158,7 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
-@command(
+@change(
     route="POST /modules/{module}/locations",
     client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
     summary="Teach a manipulator the pose for a station",
@@ -172,7 +172,7 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
-@command(
+@change(
     route="POST /modules/{module}/calibrations",
     client=Method("calibrate", "module, by", key="new"),
     summary="Record a calibration of a module",
@@ -219,7 +219,7 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
-@command(
+@change(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
     summary="Request access to a workcell",
@@ -236,7 +236,7 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
-@command(
+@change(
     route="POST /workcells/{workcell}/access/end",
     client=Method("_end_workcell_access", take=None),
     summary="End the access to a workcell",

@@ -25,7 +25,7 @@ from labos.errors import Forbidden, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Name, says
 from labos.http.method import Method
-from labos.http.operation import Call, command, list_operations, read
+from labos.http.operation import Call, change, list_operations, read
 from labos.http.queries import OfGroup, OfUser
 
 Subject = Annotated[Name, says("`user:ID` or `group:NAME`")]
@@ -120,7 +120,7 @@ def list_users(call: Call) -> UserList:
     return UserList([_make_user_view(state, name) for name in state.users.known], state.users.is_open)
 
 
-@command(
+@change(
     route="POST /users",
     client=Method("add_user", take=None),
     summary="Add a user: a person or a program",
@@ -151,7 +151,7 @@ def get_user(call: Call, path: OfUser) -> UserView:
     return _make_user_view(call.kernel.state, path.user)
 
 
-@command(
+@change(
     route="POST /users/{user}/disable",
     client=Method("disable_user", take=None, repeat=True),
     summary="Disable a user",
@@ -164,7 +164,7 @@ async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
-@command(
+@change(
     route="POST /users/{user}/enable",
     client=Method("enable_user", take=None, repeat=True),
     summary="Enable a disabled user",
@@ -191,7 +191,7 @@ def list_groups(call: Call) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@command(
+@change(
     route="POST /groups",
     client=Method("add_group", take=None),
     summary="Add a group",
@@ -205,7 +205,7 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
-@command(
+@change(
     route="POST /groups/{group}/remove",
     client=Method("remove_group", take=None),
     summary="Remove a group",
@@ -219,7 +219,7 @@ async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@command(
+@change(
     route="POST /groups/{group}/members",
     client=Method("add_member", take=None, repeat=True),
     summary="Add a user to a group",
@@ -232,7 +232,7 @@ async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
-@command(
+@change(
     route="POST /groups/{group}/members/remove",
     client=Method("remove_member", take=None, repeat=True),
     summary="Take a user out of a group",
@@ -249,7 +249,7 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
     return _make_group_view(call.kernel.state, group)
 
 
-@command(
+@change(
     route="POST /roles/grant",
     client=Method("grant_role", take=None, repeat=True),
     summary="Give a user or a group a role",
@@ -263,7 +263,7 @@ async def grant_role(call: Call, body: Grant) -> GrantView:
     return GrantView(body.subject, body.scope, body.role)
 
 
-@command(
+@change(
     route="POST /roles/revoke",
     client=Method("revoke_role", take=None, repeat=True),
     summary="Take a role away",

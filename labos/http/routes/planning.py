@@ -17,7 +17,7 @@ from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read, submission
+from labos.http.operation import Call, Operation, list_operations, read, submit
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
@@ -186,7 +186,7 @@ class StepsLeft(msgspec.Struct, frozen=True):
     steps: int
 
 
-@submission(
+@submit(
     route="POST /runs/check",
     client=Method("_check_run", "workflow, user=''", repeat=True),
     summary="Check a run of a workflow without submitting it",

@@ -26,7 +26,7 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read, submission
+from labos.http.operation import Call, Operation, change, list_operations, read, submit
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
@@ -143,11 +143,11 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     """The last ends of runs before a position, in order."""
     upto = query.before - 1 if query.before else None
     wanted = LogQuery(types=RUN_ENDS, last=query.ended, upto=upto)
-    read = call.service.parts.store.select
-    return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
+    select = call.service.parts.store.select
+    return await asyncio.to_thread(lambda: list(islice(select(wanted), query.ended)))
 
 
-@submission(
+@submit(
     route="POST /runs",
     client=Method("_submit_run", "workflow, user", key="given"),
     summary="Queue a run of a workflow",
@@ -161,7 +161,7 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
-@submission(
+@submit(
     route="POST /runs/batch",
     client=Method("_submit_runs", "workflow, payloads, user", key="given"),
     summary="Queue a run of a workflow for each payload, all of them or none",
@@ -190,7 +190,7 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     return make_from(RunDetail, story)
 
 
-@command(
+@change(
     route="POST /runs/{run}/cancel",
     client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
     summary="Cancel a run",
@@ -207,7 +207,7 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     return RunReference(path.run)
 
 
-@command(
+@change(
     route="POST /runs/{run}/pause",
     client=Method("pause", "run, by='somebody'", take=None, repeat=True),
     summary="Pause a run: no further step starts",
@@ -221,7 +221,7 @@ async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     return RunReference(path.run)
 
 
-@command(
+@change(
     route="POST /runs/{run}/resume",
     client=Method("resume", "run, by='somebody'", take=None, repeat=True),
     summary="Resume a paused run",
@@ -235,7 +235,7 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     return RunReference(path.run)
 
 
-@submission(
+@submit(
     route="POST /experiments",
     client=Method("_start_experiment", "name, user", key="given"),
     summary="Start an experiment",
@@ -253,7 +253,7 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
-@command(
+@change(
     route="POST /experiments/{experiment}/resume",
     client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
     summary="Resume an experiment",
@@ -272,7 +272,7 @@ async def resume_experiment(
     return ExperimentReference(path.experiment)
 
 
-@command(
+@change(
     route="POST /experiments/{experiment}/end",
     client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
     summary="End an experiment",
@@ -288,7 +288,7 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
     return ExperimentReference(path.experiment)
 
 
-@command(
+@change(
     route="POST /experiments/{experiment}/notes",
     client=Method("note", "experiment, kind, name, facts, user", take=None),
     summary="Log a note of the application",

@@ -16,7 +16,7 @@ from labos.core.words import PREFIX, find_fields_of_words, list_references
 from labos.errors import NotFound, Refused
 from labos.http.limits import Asker, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, command, list_operations, read
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.services.log import Log
 
 Found = tuple[tuple[int, str], ...]
@@ -116,7 +116,7 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
-@command(
+@change(
     route="POST /words/erasures/{erasure}/approve",
     client=Method("approve_erasure"),
     summary="Agree to an erasure, as the second person",
@@ -131,7 +131,7 @@ async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> Erasu
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
-@command(
+@change(
     route="POST /words/erasures/{erasure}/refuse",
     client=Method("refuse_erasure", take="erasure", repeat=True),
     summary="Refuse an erasure that waits for a second person",
