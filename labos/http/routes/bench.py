@@ -3,6 +3,8 @@ them."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import msgspec
 
 from labos.core.decide.handover import HandOver
@@ -95,6 +97,10 @@ class SampleCounts(msgspec.Struct, frozen=True):
     plates: dict[str, int]
 
 
+_report = partial(Operation, needs="operator", problems=("not_found", "refused"))
+"""What a person reports about a station."""
+
+
 @change(
     route="POST /interventions/{intervention}",
     client=Method("resolve", "intervention, choice, by, note, result", take=None),
@@ -108,13 +114,11 @@ async def answer_intervention(call: Call, path: OfIntervention, body: Interventi
     return Resolution(path.intervention, body.choice)
 
 
-@Operation(
+@_report(
     route="POST /stations/place",
     client=Method("place", take="labware"),
     summary="Report that labware was put on an empty station",
-    needs="operator",
     status=201,
-    problems=("not_found", "refused"),
     example={"station": "sealer.default", "labware": "plate96", "by": "ada"},
     example_answer={"labware": "P7"},
 )
@@ -123,13 +127,11 @@ async def place_labware(call: Call, body: LabwarePlacement) -> LabwareReference:
     return LabwareReference(names[0] if names else "")
 
 
-@Operation(
+@_report(
     route="POST /stations/load",
     client=Method("load", take="labware"),
     summary="Report that labware was loaded",
-    needs="operator",
     status=201,
-    problems=("not_found", "refused"),
     example={"station": "sciclops.tower1", "labware": "plate96", "by": "ada", "count": 20, "lot": "L7"},
     example_answer={"labware": []},
 )
@@ -139,12 +141,10 @@ async def load_station(call: Call, body: Load) -> LoadResult:
     return LoadResult(await load(call.service, body, body.by))
 
 
-@Operation(
+@_report(
     route="POST /stations/unload",
     client=Method("unload"),
     summary="Report that labware was taken away",
-    needs="operator",
-    problems=("not_found", "refused"),
     example={"station": "sciclops.tower1", "by": "ada", "count": 3},
     example_answer={"labware": ["P7"], "nameless": 2},
 )
@@ -155,13 +155,11 @@ async def unload_station(call: Call, body: Unload) -> UnloadResult:
     return UnloadResult(names, nameless)
 
 
-@Operation(
+@_report(
     route="POST /stations/observe",
     client=Method("observe", "station, what, by"),
     summary="Report what stands at a station",
-    needs="operator",
     status=201,
-    problems=("not_found", "refused"),
     example={"station": "sealer.default", "by": "ada", "what": "empty"},
 )
 async def observe_station(call: Call, body: Observation) -> ObservationResult:
@@ -183,13 +181,11 @@ async def observe_station(call: Call, body: Observation) -> ObservationResult:
     )
 
 
-@Operation(
+@_report(
     route="POST /stations/declare",
     client=Method("declare", "stations, by", take="declared"),
     summary="Declare what stands at stations",
-    needs="operator",
     status=201,
-    problems=("not_found", "refused"),
     example={"by": "ada", "stations": {"sealer.default": ["plate96"]}},
     example_answer={"declared": {"sealer.default": ["plate96"]}},
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 import msgspec
 
@@ -80,14 +81,17 @@ class WorkcellReference(msgspec.Struct, frozen=True):
     workcell: str
 
 
+_operate = partial(change, needs="operator")
+"""What a person does at a module or a workcell."""
+
+
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
 
-@change(
+@_operate(
     route="POST /modules/{module}/out-of-service",
     client=Method("take_out", "module, why, by, until_ns=until", take=None),
     summary="Take a module out of service",
-    needs="operator",
     example={"why": "new foil", "by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -100,11 +104,10 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
-@change(
+@_operate(
     route="POST /modules/{module}/in-service",
     client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
     summary="Put a module back in service",
-    needs="operator",
     example={"by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -113,11 +116,10 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
     return ModuleReference(path.module)
 
 
-@change(
+@_operate(
     route="POST /modules/{module}/trace",
     client=Method("trace", "module, by='somebody'", take="file", repeat=True),
     summary="Start or stop the transcript of a device's links",
-    needs="operator",
     example={"by": "ada", "on": True},
     example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
 )
@@ -158,11 +160,10 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
-@change(
+@_operate(
     route="POST /modules/{module}/locations",
     client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
     summary="Teach a manipulator the pose for a station",
-    needs="operator",
     status=201,
     example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
     example_answer={"version": 3},
@@ -172,11 +173,10 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
-@change(
+@_operate(
     route="POST /modules/{module}/calibrations",
     client=Method("calibrate", "module, by", key="new"),
     summary="Record a calibration of a module",
-    needs="operator",
     status=201,
     example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
     example_answer={
@@ -219,12 +219,11 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
-@change(
+@_operate(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
     summary="Request access to a workcell",
     tag="workcells",
-    needs="operator",
     status=201,
     example={"by": "ada", "why": "a plate is askew"},
     example_answer={"workcell": "rpl", "parking": ["R7"]},
@@ -236,12 +235,11 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
-@change(
+@_operate(
     route="POST /workcells/{workcell}/access/end",
     client=Method("_end_workcell_access", take=None),
     summary="End the access to a workcell",
     tag="workcells",
-    needs="operator",
     example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
     example_answer={"workcell": "rpl"},
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -109,6 +110,10 @@ _USER = {
 _GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
 
 
+_administer = partial(change, needs="admin")
+"""A change of users, groups or roles."""
+
+
 @read(
     route="GET /users",
     client=Method("users", take="users"),
@@ -120,11 +125,10 @@ def list_users(call: Call) -> UserList:
     return UserList([_make_user_view(state, name) for name in state.users.known], state.users.is_open)
 
 
-@change(
+@_administer(
     route="POST /users",
     client=Method("add_user", take=None),
     summary="Add a user: a person or a program",
-    needs="admin",
     status=201,
     example={"user": "bo", "by": "ada"},
     example_answer={**_USER, "id": "bo", "roles": {}},
@@ -151,11 +155,10 @@ def get_user(call: Call, path: OfUser) -> UserView:
     return _make_user_view(call.kernel.state, path.user)
 
 
-@change(
+@_administer(
     route="POST /users/{user}/disable",
     client=Method("disable_user", take=None, repeat=True),
     summary="Disable a user",
-    needs="admin",
     example={"by": "ada"},
     example_answer={**_USER, "disabled": True},
 )
@@ -164,11 +167,10 @@ async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
-@change(
+@_administer(
     route="POST /users/{user}/enable",
     client=Method("enable_user", take=None, repeat=True),
     summary="Enable a disabled user",
-    needs="admin",
     example={"by": "ada"},
     example_answer=_USER,
 )
@@ -191,11 +193,10 @@ def list_groups(call: Call) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@change(
+@_administer(
     route="POST /groups",
     client=Method("add_group", take=None),
     summary="Add a group",
-    needs="admin",
     status=201,
     example={"group": "chemistry", "by": "ada"},
     example_answer={**_GROUP, "members": [], "roles": {}},
@@ -205,11 +206,10 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
-@change(
+@_administer(
     route="POST /groups/{group}/remove",
     client=Method("remove_group", take=None),
     summary="Remove a group",
-    needs="admin",
     example={"by": "ada"},
     example_answer={"groups": []},
 )
@@ -219,11 +219,10 @@ async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@change(
+@_administer(
     route="POST /groups/{group}/members",
     client=Method("add_member", take=None, repeat=True),
     summary="Add a user to a group",
-    needs="admin",
     example={"user": "ada", "by": "ada"},
     example_answer=_GROUP,
 )
@@ -232,11 +231,10 @@ async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
-@change(
+@_administer(
     route="POST /groups/{group}/members/remove",
     client=Method("remove_member", take=None, repeat=True),
     summary="Take a user out of a group",
-    needs="admin",
     example={"user": "ada", "by": "ada"},
     example_answer={**_GROUP, "members": []},
 )
@@ -249,11 +247,10 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
     return _make_group_view(call.kernel.state, group)
 
 
-@change(
+@_administer(
     route="POST /roles/grant",
     client=Method("grant_role", take=None, repeat=True),
     summary="Give a user or a group a role",
-    needs="admin",
     example={"subject": "user:ada", "role": "operator", "scope": "rpl", "by": "ada"},
     example_answer={"subject": "user:ada", "scope": "rpl", "role": "operator"},
 )
@@ -263,11 +260,10 @@ async def grant_role(call: Call, body: Grant) -> GrantView:
     return GrantView(body.subject, body.scope, body.role)
 
 
-@change(
+@_administer(
     route="POST /roles/revoke",
     client=Method("revoke_role", take=None, repeat=True),
     summary="Take a role away",
-    needs="admin",
     example={"subject": "user:ada", "scope": "rpl", "by": "ada"},
     example_answer={"subject": "user:ada", "scope": "rpl", "role": ""},
 )

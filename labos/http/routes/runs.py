@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from itertools import islice
 
 import msgspec
@@ -26,7 +27,7 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read, submit
+from labos.http.operation import Call, change, list_operations, read, submit
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
@@ -112,6 +113,10 @@ _RUN = {
     "user": "ada",
     "place": [{"station": "sealer.default", "labware": "plate96"}],
 }
+
+
+_of_application = partial(change, tag="experiments", needs="submitter", headers=("LabOS-User",))
+"""A request of an application about its experiment."""
 
 
 @read(
@@ -253,13 +258,10 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
-@change(
+@_of_application(
     route="POST /experiments/{experiment}/resume",
     client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
     summary="Resume an experiment",
-    tag="experiments",
-    needs="submitter",
-    headers=("LabOS-User",),
     example={"name": "color picker"},
     example_answer={"experiment": "E1"},
 )
@@ -272,13 +274,10 @@ async def resume_experiment(
     return ExperimentReference(path.experiment)
 
 
-@change(
+@_of_application(
     route="POST /experiments/{experiment}/end",
     client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
     summary="End an experiment",
-    tag="experiments",
-    needs="submitter",
-    headers=("LabOS-User",),
     example={"why": "ended"},
     example_answer={"experiment": "E1"},
 )
@@ -288,14 +287,11 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
     return ExperimentReference(path.experiment)
 
 
-@change(
+@_of_application(
     route="POST /experiments/{experiment}/notes",
     client=Method("note", "experiment, kind, name, facts, user", take=None),
     summary="Log a note of the application",
-    tag="experiments",
-    needs="submitter",
     status=201,
-    headers=("LabOS-User",),
     example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
     example_answer={"experiment": "E1"},
 )
@@ -304,15 +300,12 @@ async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) 
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/files",
     client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
     summary="Store a file of an experiment",
-    tag="experiments",
-    needs="submitter",
     status=201,
     problems=("not_found",),
-    headers=("LabOS-User",),
     largest_body=LARGEST_BODY,
     example={"content": "aGVsbG8="},
     example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
@@ -326,14 +319,12 @@ async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileRefere
     return FileReference(await asyncio.to_thread(call.service.parts.blobs.put, body.content))
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/heartbeat",
     client=Method("heartbeat", "experiment, user", take=None, repeat=True),
     at_kernel=True,
     summary="Report that the application is running",
-    tag="experiments",
-    needs="submitter",
-    headers=("LabOS-User",),
+    problems=(),
     example_answer={},
 )
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
