@@ -39,6 +39,7 @@ from labos.http.service import WorkflowText
 
 Limit = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
 Amounts = Annotated[dict[Name, Amount], msgspec.Meta(max_length=MOST_ENTRIES)]
+Placings = Annotated[list[Placing], msgspec.Meta(max_length=MOST_ENTRIES)]
 Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 
 WAITS = says("wait for an approval, also if the policy does not require one")
@@ -53,10 +54,7 @@ class Asked(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """A run of a workflow."""
 
-    workflow: Annotated[
-        WorkflowText,
-        says("the workflow, with the files that it names"),
-    ]
+    workflow: Annotated[WorkflowText, says("the workflow, with the files that it names")]
     user: Asker = ""
     payload: Annotated[dict[str, Any], says("values for the workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
@@ -65,9 +63,7 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         Name, says("the experiment to which the run belongs; it must belong to the same user")
     ] = ""
     place: Annotated[
-        list[Placing],
-        msgspec.Meta(max_length=MOST_ENTRIES),
-        says("labware that was put on the bench for the run; recorded with the run, or not at all"),
+        Placings, says("labware that was put on the bench for the run; recorded with the run, or not at all")
     ] = []
     propose: Annotated[bool, WAITS] = False
     due: Annotated[
@@ -90,11 +86,10 @@ class NewRuns(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     priority: Annotated[Priority, says("higher goes first; 0")] = 0
     experiment: Annotated[Name, says("the experiment to which they belong; it must be the user's")] = ""
     place: Annotated[
-        list[Placing],
-        msgspec.Meta(max_length=MOST_ENTRIES),
+        Placings,
         says("labware that was put on the bench for them; recorded once with the runs, or not at all"),
     ] = []
-    propose: Annotated[bool, says("wait for an approval, also if the policy does not require one")] = False
+    propose: Annotated[bool, WAITS] = False
     due: Annotated[
         Line, says("the time by which they should end: a time, or a duration from now (`12h`); empty: none")
     ] = ""
@@ -213,7 +208,7 @@ class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
     run: Annotated[Name, says("a run's id")]
     step: Annotated[int, msgspec.Meta(ge=0, le=100_000, description="which of its steps, counted from 0")]
-    start: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="when it should start (UTC ns)")]
+    start: Annotated[Time, says("when it should start (UTC ns)")]
     outside: Annotated[bool, says("the run waits outside until then, and does not block others")] = False
 
 
@@ -224,13 +219,8 @@ class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
             max_length=MOST_STEPS, description="the steps, in any order; none: withdraw the suggestion"
         ),
     ]
-    until: Annotated[
-        int, msgspec.Meta(ge=0, le=2**63 - 1, description="the time until which it is valid (UTC ns)")
-    ]
-    position: Annotated[
-        int,
-        msgspec.Meta(ge=0, le=2**63 - 1, description="the position of the log from which it was computed"),
-    ] = 0
+    until: Annotated[Time, says("the time until which it is valid (UTC ns)")]
+    position: Annotated[Time, says("the position of the log from which it was computed")] = 0
     by: Asker = ""
 
 

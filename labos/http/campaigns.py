@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -306,20 +306,21 @@ def _estimate(service: LabService, checked: CheckedCampaign) -> Estimate:
         modules=asked.modules,
         bounds_s=asked.modules[busiest],
         busiest=busiest,
-        consumables={
-            kind: ConsumableEstimate(n, find_left(service, checked.workcell, kind))
-            for kind, n in asked.consumables.items()
-        },
+        consumables=estimate_consumables(service, checked.workcell, asked.consumables),
         findings=tuple(checked.findings),
     )
 
 
-def find_left(service: LabService, workcell: str, kind: str) -> float | None:
-    """The rest of a consumable in all modules of a workcell."""
-    levels = service.kernel.state.resources.levels
-    known = ((*split_level_key(name), level.level) for name, level in levels.items())
-    found = [left for module, resource, left in known if workcell_of(module) == workcell and resource == kind]
-    return sum(found) if found else None
+def estimate_consumables(
+    service: LabService, workcell: str, needed: Mapping[str, float]
+) -> dict[str, ConsumableEstimate]:
+    """The needed amounts of consumables, and how much of each is left in all modules of a workcell."""
+    left: dict[str, float] = {}
+    for name, level in service.kernel.state.resources.levels.items():
+        module, kind = split_level_key(name)
+        if workcell_of(module) == workcell:
+            left[kind] = left.get(kind, 0.0) + level.level
+    return {kind: ConsumableEstimate(amount, left.get(kind)) for kind, amount in needed.items()}
 
 
 def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:

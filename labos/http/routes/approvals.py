@@ -18,7 +18,7 @@ from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import Amendment, Amounts, Asked, Limit
-from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
+from labos.http.campaigns import ConsumableEstimate, amend_terms, estimate_consumables
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
 from labos.http.operation import Call, Operation, change, list_operations, read
@@ -188,11 +188,7 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
             remedy="Each of its runs waits for an approval. Check those.",
         )
     (cell,) = cells_of(call.kernel.state, proposal.subject)
-    needed = proposal.demand.consumables
-    consumables = {
-        kind: ConsumableEstimate(amount, find_left(call.service, cell, kind))
-        for kind, amount in needed.items()
-    }
+    consumables = estimate_consumables(call.service, cell, proposal.demand.consumables)
     forecast = await call.service.forecasts.forecast(approved=proposal.subject)
     return ProposalForecast(hide_others(forecast, call), consumables)
 
