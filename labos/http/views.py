@@ -256,9 +256,8 @@ class LabView(msgspec.Struct, frozen=True):
 def make_lab_view(kernel: LabKernel, notes: Notes, *, waits: bool, hidden: frozenset[CampaignId]) -> LabView:
     """The present state of the lab, without the runs of the campaigns ``hidden``."""
     state, now = kernel.state, kernel.clock.now_ns()
-    queued = list(state.runs.queued.values())
     runs = [run for run in state.runs.active.values() if run.campaign not in hidden]
-    runs += islice((run for run in queued if run.campaign not in hidden), QUEUED_SHOWN)
+    runs += islice((run for run in state.runs.queued.values() if run.campaign not in hidden), QUEUED_SHOWN)
     flying = {(action.run, action.step): action for action in state.actions.open.values()}
     return LabView(
         lab=_make_lab_info(state, notes.simulated),
@@ -273,7 +272,7 @@ def make_lab_view(kernel: LabKernel, notes: Notes, *, waits: bool, hidden: froze
             for item in state.bench.labware.values()
         ],
         runs=[run_view(kernel, run, now, flying, waits=waits) for run in runs],
-        queued=len(queued),
+        queued=len(state.runs.queued),
         interventions=[make_question_view(state, asked) for asked in state.interventions.open.values()],
         experiments=[
             make_from(ExperimentView, item, runs=list(item.runs)) for item in state.experiments.open.values()
