@@ -118,22 +118,10 @@ class RunApproved(RunEvent, frozen=True):
     by: str
 
 
-class Proposal(msgspec.Struct):
-    """A submission that waits for an approval, with the data of ``ApprovalRequested``."""
+class Proposal(ApprovalRequested, frozen=True):
+    """A submission that waits for an approval since ``requested_at`` (UTC ns)."""
 
-    subject: str
-    kind: Kind
-    name: str
-    user: str
-    by: str
-    digest: str
-    why: tuple[Why, ...]
-    parts: dict[str, str]
-    demand: Demand
-    before: str
-    changed: tuple[str, ...]
-    terms: Terms | None
-    requested_at: int
+    requested_at: int = 0
 
     @property
     def codes(self) -> set[str]:

@@ -63,20 +63,15 @@ class InterventionOverdue(Event, frozen=True):
         return self.run or f"intervention:{self.intervention}"
 
 
-class Intervention(msgspec.Struct):
-    id: InterventionId
-    kind: str
-    subject: str
-    text: str
-    choices: tuple[Choice, ...]
-    run: str
-    module: str
-    labware: tuple[LabwareId, ...]
-    motions: tuple[AnyEffect, ...]
-    requested_at: int
-    due_at: int = 0
+class Intervention(InterventionRequested, frozen=True):
+    """A question that waits for an answer since ``requested_at`` (UTC ns)."""
+
+    requested_at: int = 0
     overdue: bool = False
-    topic: AnyTopic | None = None
+
+    @property
+    def id(self) -> InterventionId:
+        return self.intervention
 
     def withdraw(self, why: str) -> InterventionResolved:
         """The question is resolved without an answer."""
@@ -99,18 +94,16 @@ class Interventions(msgspec.Struct):
 
     def ask(self, topic: AnyTopic, text: str, due_at: int = 0) -> InterventionRequested:
         """The next question. ``text`` is for people."""
-        return InterventionRequested(
-            self.next_id,
-            topic.KIND,
-            topic.subject,
-            text,
-            topic.choices,
-            topic.run,
-            topic.module,
-            topic.pieces,
-            topic.evidence,
-            due_at,
+        return make_from(
+            InterventionRequested,
             topic,
+            intervention=self.next_id,
+            kind=topic.KIND,
+            text=text,
+            labware=topic.pieces,
+            motions=topic.evidence,
+            due_at=due_at,
+            topic=topic,
         )
 
     def open_about(self, *topics: type[Topic]) -> list[Intervention]:
@@ -118,7 +111,7 @@ class Interventions(msgspec.Struct):
         return [question for question in self.open.values() if isinstance(question.topic, topics)]
 
     def find_about(self, subject: str) -> Intervention | None:
-        return next((self.open[name] for name in self.by_subject.get(subject, ())), None)
+        return next(iter(self.list_about(subject)), None)
 
     def list_about(self, subject: str) -> list[Intervention]:
         """The open questions about a subject, oldest first."""
@@ -133,9 +126,7 @@ def fold_intervention_requested(interventions: Interventions, event: Interventio
     if event.intervention in interventions.open:
         raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
-    interventions.open[event.intervention] = make_from(
-        Intervention, event, id=event.intervention, requested_at=at
-    )
+    interventions.open[event.intervention] = make_from(Intervention, event, requested_at=at)
     interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
     if event.run:
         interventions.by_run.setdefault(event.run, {})[event.intervention] = True
@@ -151,4 +142,5 @@ def fold_intervention_resolved(interventions: Interventions, event: Intervention
 
 
 def fold_intervention_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
-    interventions.open[event.intervention].overdue = True
+    question = interventions.open[event.intervention]
+    interventions.open[event.intervention] = msgspec.structs.replace(question, overdue=True)

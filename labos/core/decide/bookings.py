@@ -193,15 +193,7 @@ def _make_event(
     over: tuple[str, ...],
 ) -> Event:
     terms = command.terms
-    return make_from(
-        kind,
-        terms,
-        booking=name,
-        target=target,
-        by=command.by,
-        why=terms.why or "",
-        over=over,
-    )
+    return make_from(kind, terms, booking=name, target=target, by=command.by, why=terms.why or "", over=over)
 
 
 def _find_overridden(
@@ -342,15 +334,7 @@ def _find_first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> B
 
 
 def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
-    return make_from(
-        Booking,
-        terms,
-        id=name,
-        target=target,
-        by="",
-        why="",
-        made=0,
-    )
+    return make_from(Booking, terms, booking=name, target=target, by="", why="")
 
 
 # -- reactions -------------------------------------------------------------------------------------
