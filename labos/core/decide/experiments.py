@@ -18,14 +18,7 @@ from labos.core.experiments import (
     ExperimentResumed,
     ExperimentStarted,
 )
-from labos.core.ids import (
-    ExperimentId,
-    RunId,
-    StationName,
-    experiment_owner,
-    local,
-    user_owner,
-)
+from labos.core.ids import ExperimentId, RunId, StationName, experiment_owner, local, user_owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest

@@ -22,10 +22,7 @@ from labos.core.decide.steps import answer_failed
 from labos.core.effects import Move, Relid, Unlid, list_arrivals
 from labos.core.holding import find_user_meanwhile
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
-from labos.core.interventions import (
-    Intervention,
-    InterventionResolved,
-)
+from labos.core.interventions import Intervention, InterventionResolved
 from labos.core.labware import LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event

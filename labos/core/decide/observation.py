@@ -13,9 +13,7 @@ from labos.core.decide.lookups import decides_about, expect_labware, expect_stat
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
-from labos.core.interventions import (
-    Intervention,
-)
+from labos.core.interventions import Intervention
 from labos.core.labware import (
     LabwareObserved,
     LabwarePlaced,

@@ -7,11 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.actions import (
-    Action,
-    ActionReconciled,
-    EffectsDone,
-)
+from labos.core.actions import Action, ActionReconciled, EffectsDone
 from labos.core.bench import add_arrival, compute_a1_after, remove_labware, split_item
 from labos.core.canonical import encode_canonical
 from labos.core.decide.barcodes import record_barcodes

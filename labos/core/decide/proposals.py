@@ -5,26 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
-from labos.core.approvals import (
-    ApprovalGiven,
-    ApprovalRefused,
-    ApprovalRequested,
-    Proposal,
-    RunApproved,
-)
-from labos.core.campaigns import (
-    CampaignAmended,
-    CampaignCancelled,
-    CampaignCompleted,
-    CampaignStopped,
-    Terms,
-)
+from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, Proposal, RunApproved
+from labos.core.campaigns import CampaignAmended, CampaignCancelled, CampaignCompleted, CampaignStopped, Terms
 from labos.core.decide._base import Command, Decision, Rejection, list_possible
-from labos.core.decide.campaigns import (
-    CancelCampaign,
-    cancel_campaign,
-    check_terms,
-)
+from labos.core.decide.campaigns import CancelCampaign, cancel_campaign, check_terms
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
 from labos.core.decide.lookups import decides_about

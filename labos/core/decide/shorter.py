@@ -19,12 +19,7 @@ from labos.core.labware import LabwareUncertain
 from labos.core.modules import ModuleStatus, VariableSet
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCancelling, RunPaused, RunStatus
-from labos.core.shorter import (
-    STATIONS_PER_EVENT,
-    BenchCompared,
-    LogFoundShorter,
-    StationsChecked,
-)
+from labos.core.shorter import STATIONS_PER_EVENT, BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog, WhereItStands
 

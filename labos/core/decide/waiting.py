@@ -19,10 +19,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import local
-from labos.core.interventions import (
-    InterventionRequested,
-    InterventionResolved,
-)
+from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.state import LabState
