@@ -320,11 +320,6 @@ class Module(msgspec.Struct):
         """Whether an exclusive action is in flight."""
         return any(flight.exclusive for flight in self.in_flight.values())
 
-    @property
-    def at_rest(self) -> bool:
-        """Whether doors and lids are in the positions at which others may use the module."""
-        return all(self.find_value(name) == value for name, value in self.spec.rest.items())
-
 
 class Modules(msgspec.Struct):
     """``back_at`` are the modules that come back into service by themselves, with the time (UTC ns);

@@ -8,7 +8,7 @@ from typing import NamedTuple
 from labos.core import reasons
 from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
-from labos.core.resources import list_used_up
+from labos.core.resources import list_used_up, sum_consumption
 from labos.core.runs import RunState, RunStatus, StepStatus
 from labos.core.shares import DAY_NS
 from labos.core.state import LabState
@@ -56,11 +56,7 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
             what = f"{quota.lab_hours:g} lab hours a week"
             return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
         for kind, most in quota.consumables.items():
-            needed = sum(
-                amount
-                for index, _, resource, amount in list_used_up(state.runs.plan_of(run).steps)
-                if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
-            )
+            needed = sum_consumption(state.runs.plan_of(run)).get(kind, 0.0)
             if needed and had.week.count_used(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
                 return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None

@@ -190,12 +190,8 @@ def fold_user_added(users: Users, event: UserAdded, at: int) -> None:
     users.known[event.user] = User(event.kind, at)
 
 
-def fold_user_disabled(users: Users, event: UserDisabled, at: int) -> None:
-    users.known[event.user].disabled = True
-
-
-def fold_user_enabled(users: Users, event: UserEnabled, at: int) -> None:
-    users.known[event.user].disabled = False
+def fold_user_disabled(users: Users, event: UserDisabled | UserEnabled, at: int) -> None:
+    users.known[event.user].disabled = isinstance(event, UserDisabled)
 
 
 def fold_role_granted(users: Users, event: RoleGranted, at: int) -> None:

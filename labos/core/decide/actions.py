@@ -126,10 +126,6 @@ class DoubtAction(Report, frozen=True):
 
 
 @decides(StartStep)
-def start_step(state: LabState, command: StartStep) -> Decision:
-    return request_action(state, command)
-
-
 def request_action(
     state: LabState, command: StartStep, others: Collection[RunId] = (), together: tuple[ActionId, ...] = ()
 ) -> Decision:

@@ -364,13 +364,9 @@ def ask_about_overrun(state: LabState, event: BookingBegan) -> Iterator[Event]:
                 f"{in_zone(event.ends, booking.zone)} ({booking.id}), and step {step.key!r} of {run.id} "
                 f"({run.user}) is still under way on {local(module)}. It goes on to its end.",
             )
-    if not any(_stand_asked(state, booking)):
+    asked = [question.topic for question in state.interventions.list_about(_make_subject(booking.id))]
+    if not any(isinstance(topic, BookedPlace) and topic.labware for topic in asked):
         yield from _ask(state, booking, event.begins)
-
-
-def _stand_asked(state: LabState, booking: Booking) -> Iterator[bool]:
-    for question in state.interventions.list_about(_make_subject(booking.id)):
-        yield isinstance(question.topic, BookedPlace) and bool(question.topic.labware)
 
 
 def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:

@@ -12,7 +12,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
-from labos.core.decide.experiments import close_experiment, end_without_closing
+from labos.core.decide.experiments import EndExperiment, end_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, is_read_later, limit_result, settle, settle_found
 from labos.core.decide.proposals import answer_question
@@ -117,7 +117,8 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
         case ShorterLog():
             return finish_round(state, by, command.note)
         case LostExperiment():
-            return _close(state, topic) if choice == "close" else []
+            end = EndExperiment(topic.experiment, "its application was lost")
+            return end_experiment(state, end) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
             return []  # nothing follows, except that a person has taken care of it
         case _:
@@ -131,17 +132,6 @@ def _clear_away(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
         if name in state.bench.labware and not state.bench.labware[name].moving
         for event in remove_labware(state.bench, name, "", StationName(""), f"taken away ({by})")
     ]
-
-
-def _close(state: LabState, topic: LostExperiment) -> Decision:
-    experiment = state.experiments.open.get(topic.experiment)
-    if experiment is not None and experiment.runs:
-        return Rejection(
-            "runs_alive",
-            f"The experiment {experiment.id} still has runs: {', '.join(experiment.runs)}.",
-            "Wait for them or cancel them first.",
-        )
-    return close_experiment(state, topic.experiment, "its application was lost")
 
 
 def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> Decision:

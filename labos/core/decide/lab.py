@@ -97,8 +97,7 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
 
 @decides(ApplyWorkcell)
 def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
-    applied = _apply(state, command.workcell)
-    fit = applied if isinstance(applied, Rejection) else check_recordable(applied)
+    fit = check_recordable(_apply(state, command.workcell))
     if isinstance(fit, Rejection) or command.contents is None:
         return fit
     for spec in command.workcell.places:

@@ -21,7 +21,7 @@ from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCancelling, RunPaused, RunStatus
 from labos.core.shorter import STATIONS_PER_EVENT, BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.state import LabState
-from labos.core.topics import ShorterLog, WhereItStands
+from labos.core.topics import ShorterLog, WhereItStands, name_some
 
 GONE = StationName("")
 
@@ -33,9 +33,6 @@ MOST_EFFECTS = 100
 
 MANY_FOUND = 100
 """The most actions of one journal that are reported at once."""
-
-NAMED = 8
-"""A message names at most this number of stations."""
 
 
 class FoundAction(msgspec.Struct, frozen=True):
@@ -345,12 +342,9 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
     been reported; the message names them."""
     left = list_to_say(state)
     if left:
-        named = ", ".join(map(local, left[:NAMED])) + (
-            f" and {len(left) - NAMED} more" if len(left) > NAMED else ""
-        )
         return Rejection(
             "unsaid",
-            f"Nobody has reported what stands at {named}.",
+            f"Nobody has reported what stands at {name_some([local(name) for name in left])}.",
             "Check the whole bench and report it: labos bench round",
         )
     busy = find_strange_motion(state, "")

@@ -77,8 +77,7 @@ def _submit_rows(state: LabState, rows: tuple[SubmitRow | RefuseRow, ...]) -> It
 
 def _decide_next_row(state: LabState, row: SubmitRow | RefuseRow) -> Decision:
     decision = submit_row(state, row) if isinstance(row, SubmitRow) else refuse_row(state, row)
-    held = hold_for_approval(state, row, decision, LABOS)
-    return held if isinstance(held, Rejection) else check_recordable(held)
+    return check_recordable(hold_for_approval(state, row, decision, LABOS))
 
 
 def name_both_actors(command: Command, actor: str) -> Command:
