@@ -373,16 +373,14 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
         return []
     effects: EffectsDone = "all" if command.succeeded else command.effects
     events: list[Event] = [
-        ActionEvidence(
-            command.action,
-            RunId(""),
-            0,
-            settled.module,
-            command.attempt,
-            command.succeeded,
-            effects,
-            settled.effects,
-            command.error,
+        make_from(
+            ActionEvidence,
+            command,
+            run=RunId(""),
+            step=0,
+            module=settled.module,
+            effects=effects,
+            settled_as=settled.effects,
         )
     ]
     if effects != settled.effects:

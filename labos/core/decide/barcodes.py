@@ -9,16 +9,14 @@ import msgspec
 from labos.core.actions import Action
 from labos.core.bench import Labware, remove_labware
 from labos.core.effects import Reads
-from labos.core.ids import LabwareId, StationName, local
-from labos.core.labware import BarcodeRead, LabwareObserved, LabwareUncertain
+from labos.core.ids import LabwareId, local
+from labos.core.labware import GONE, BarcodeRead, LabwareObserved, LabwareUncertain
 from labos.core.registry import Event
 from labos.core.runs import RunPaused
 from labos.core.state import LabState
 from labos.core.topics import Barcode
 
 LONGEST_BARCODE = 128
-
-NOWHERE = StationName("")
 
 
 def find_barcode(result: Any) -> str:
@@ -56,7 +54,7 @@ def _report_contradiction(
     reading = f"{local(action.module)} read the barcode {code} at {place}, where {labware.id} should stand."
     known = f" {labware.id} bears {labware.barcode}." if labware.barcode else ""
     events: list[Event] = []
-    places = (labware.station, NOWHERE)
+    places = (labware.station, GONE)
     topic = Barcode(
         run=action.run,
         module=action.module,
@@ -107,7 +105,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
         return events
     if choice in ("gone", "other"):
         why = f"not where it was recorded ({by})"
-        return [*events, *remove_labware(state.bench, labware.id, "", NOWHERE, why)]
+        return [*events, *remove_labware(state.bench, labware.id, "", GONE, why)]
     place = other.maybe[0] if choice == "swapped" and other is not None else here
     events.append(LabwareObserved(labware.id, "", place, by))
     if choice == "relabelled":

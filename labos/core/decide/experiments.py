@@ -158,9 +158,7 @@ def note_experiment(state: LabState, command: NoteExperiment, experiment: Experi
         )
     known = experiment.notes.get(command.key) if command.key else None
     if known is None:
-        return [
-            ExperimentNoted(command.experiment, command.kind, command.name, command.facts, command.key),
-        ]
+        return [make_from(ExperimentNoted, command)]
     if known == note_digest(command.kind, command.name, command.facts):
         return []
     return Rejection(

@@ -23,7 +23,7 @@ from labos.core.effects import Move, Relid, Unlid, list_arrivals
 from labos.core.holding import find_user_meanwhile
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
 from labos.core.interventions import Intervention, InterventionResolved
-from labos.core.labware import LabwareObserved, LabwarePlaced
+from labos.core.labware import GONE, LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
@@ -130,7 +130,7 @@ def _clear_away(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
         event
         for name in topic.labware
         if name in state.bench.labware and not state.bench.labware[name].moving
-        for event in remove_labware(state.bench, name, "", StationName(""), f"taken away ({by})")
+        for event in remove_labware(state.bench, name, "", GONE, f"taken away ({by})")
     ]
 
 

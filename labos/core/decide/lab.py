@@ -27,6 +27,7 @@ from labos.core.registry import Event
 from labos.core.resources import LevelSet
 from labos.core.shelves import is_in_doubt
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import DiscoveredAction
 
 STATIONS_PER_EVENT = 40
@@ -91,8 +92,7 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
         if module is not None and module.out_of_service:
             yield ModulePutBack(name)
     for question in asked:
-        why = "the whole bench is being compared with the log"
-        yield question.withdraw(why)
+        yield question.withdraw("the whole bench is being compared with the log")
 
 
 @decides(ApplyWorkcell)
@@ -125,9 +125,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     forbidden = list_obstacles(state, cell)
     if forbidden:
         return forbidden[0]
-    events: list[Event] = [
-        WorkcellApplied(cell.name, cell.digest, cell.modules, cell.labware, cell.transfers)
-    ]
+    events: list[Event] = [make_from(WorkcellApplied, cell)]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
     gone = sorted(_find_left_out(state, cell)[1])

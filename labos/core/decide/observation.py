@@ -15,6 +15,7 @@ from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
 from labos.core.interventions import Intervention
 from labos.core.labware import (
+    GONE,
     LabwareObserved,
     LabwarePlaced,
     LabwareRemoved,
@@ -35,9 +36,6 @@ from labos.core.topics import (
     name_some,
     split_into_batches,
 )
-
-GONE = StationName("")
-"""The place of labware that is off the bench."""
 
 
 class ObserveStation(Command, frozen=True):

@@ -15,15 +15,13 @@ from labos.core.decide.endings import has_open_action, record_end
 from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, local, workcell_of
-from labos.core.labware import LabwareUncertain
+from labos.core.labware import GONE, LabwareUncertain
 from labos.core.modules import ModuleStatus, VariableSet
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCancelling, RunPaused, RunStatus
 from labos.core.shorter import STATIONS_PER_EVENT, BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog, WhereItStands, name_some
-
-GONE = StationName("")
 
 HIGHEST = 2**53
 """No log has more events than this: a higher position from a node is not believed."""

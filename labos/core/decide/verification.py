@@ -22,13 +22,11 @@ from labos.core.decide.outcomes import list_effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
-from labos.core.labware import LabwareUncertain, StationObserved
+from labos.core.labware import GONE, LabwareUncertain, StationObserved
 from labos.core.registry import Event
 from labos.core.runs import RunStatus
 from labos.core.state import LabState
 from labos.core.watching import list_end_stations
-
-GONE = StationName("")
 
 Verdict = Literal["done", "not_done", "lost", "unclear"]
 
