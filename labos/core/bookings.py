@@ -33,7 +33,8 @@ class BookingEvent(Event, frozen=True):
 class BookingTerms(BookingEvent, frozen=True):
     """A module or a workcell (``target``) is booked from ``begins`` to ``ends`` (UTC ns). The booking is for
     a ``user``, for a ``group``, or for ``maintenance``. With a ``rule`` it is repeated by the clock of the
-    time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
+    time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end). ``over`` lists the bookings that
+    it overrides."""
 
     target: str
     begins: int
@@ -46,20 +47,17 @@ class BookingTerms(BookingEvent, frozen=True):
     zone: str = "UTC"
     rule: str = ""
     last: int = 0
+    over: tuple[str, ...] = ()
 
 
 @event("booking.made")
 class BookingMade(BookingTerms, frozen=True):
     """A user booked a module or a workcell. ``over`` lists the bookings that it overrides."""
 
-    over: tuple[str, ...] = ()
-
 
 @event("booking.changed")
 class BookingChanged(BookingTerms, frozen=True):
     """A booking has another time or another owner. The event holds the whole booking."""
-
-    over: tuple[str, ...] = ()
 
 
 @event("booking.cancelled")

@@ -12,15 +12,22 @@ from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
 
 
+class InterventionEvent(Event, frozen=True):
+    intervention: InterventionId
+
+    def stream(self) -> str:
+        """The stream of the run that it names, if it names one; otherwise its own."""
+        return getattr(self, "run", "") or f"intervention:{self.intervention}"
+
+
 @event("intervention.requested", schema=2)
-class InterventionRequested(Event, frozen=True):
+class InterventionRequested(InterventionEvent, frozen=True):
     """LabOS asks a person. ``topic`` is the subject with its details (null: of a kind that is no longer
     used). ``kind``, ``subject``, ``labware`` and ``motions`` repeat it in fields that all kinds share.
     ``kind`` is its name, ``subject`` the id of its subject, and ``labware`` the labware that an answer may
     remove. ``motions`` are the moves and takes of unknown outcome, or the reading that contradicts the log.
     ``due_at`` is the time by which planned work should be done (UTC ns; 0: no time)."""
 
-    intervention: InterventionId
     kind: str
     subject: str
     text: str
@@ -32,35 +39,24 @@ class InterventionRequested(Event, frozen=True):
     due_at: int = 0
     topic: AnyTopic | None = None
 
-    def stream(self) -> str:
-        return self.run or f"intervention:{self.intervention}"
-
 
 @event("intervention.resolved")
-class InterventionResolved(Event, frozen=True):
+class InterventionResolved(InterventionEvent, frozen=True):
     """A person answered with ``choice``. It is ``withdrawn`` if the question was resolved without an
     answer."""
 
-    intervention: InterventionId
     choice: str
     by: str
     note: Words = ""
 
-    def stream(self) -> str:
-        return f"intervention:{self.intervention}"
-
 
 @event("intervention.overdue")
-class InterventionOverdue(Event, frozen=True):
+class InterventionOverdue(InterventionEvent, frozen=True):
     """A person did not confirm planned work by the time ``due_at`` (UTC ns). Nothing fails because of
     this."""
 
-    intervention: InterventionId
     run: str
     due_at: int
-
-    def stream(self) -> str:
-        return self.run or f"intervention:{self.intervention}"
 
 
 class Intervention(InterventionRequested, frozen=True):

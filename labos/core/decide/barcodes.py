@@ -88,11 +88,8 @@ def _describe_place(labware: Labware) -> str:
 def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
     """The events that follow when a person has checked the plate. Labware that was found or taken away
     meanwhile is not changed."""
-    labware, other, here = (
-        _find_uncertain(state, topic.labware),
-        _find_uncertain(state, topic.other),
-        topic.station,
-    )
+    labware, other = _find_uncertain(state, topic.labware), _find_uncertain(state, topic.other)
+    here = topic.station
     events: list[Event] = []
     if other is not None:
         there = other.maybe[0] if choice not in ("swapped", "other") else here

@@ -88,25 +88,21 @@ class CancelBooking(Command, frozen=True):
     begins: int = 0
 
 
-class NearBooking(InnerCommand, frozen=True):
+class TurnBooking(InnerCommand, frozen=True):
+    booking: str
+    now: int
+
+
+class NearBooking(TurnBooking, frozen=True):
     """A booking begins soon."""
 
-    booking: str
-    now: int
 
-
-class BeginBooking(InnerCommand, frozen=True):
+class BeginBooking(TurnBooking, frozen=True):
     """The time of a booking has come."""
 
-    booking: str
-    now: int
 
-
-class EndBooking(InnerCommand, frozen=True):
+class EndBooking(TurnBooking, frozen=True):
     """The time of a booking is over."""
-
-    booking: str
-    now: int
 
 
 @decides(MakeBooking)

@@ -50,10 +50,8 @@ class RefuseProposal(Command, frozen=True):
 
 
 def _expect_proposal(state: LabState, command: ApproveProposal | RefuseProposal) -> Proposal | Rejection:
-    found, missing = (
-        state.approvals.open.get(command.subject),
-        f"{command.subject} does not wait for an approval.",
-    )
+    found = state.approvals.open.get(command.subject)
+    missing = f"{command.subject} does not wait for an approval."
     return found or Rejection("no_proposal", missing, "List what waits: labos approvals")
 
 
