@@ -144,6 +144,11 @@ class User(msgspec.Struct):
     since: int
     disabled: bool = False
 
+    @property
+    def is_person(self) -> bool:
+        """Whether it is a person who may act."""
+        return self.kind == "person" and not self.disabled
+
 
 class Users(msgspec.Struct):
     """``known`` is by id; ``roles`` by subject and scope. A lab without users is open: everybody who can
@@ -177,9 +182,7 @@ class Users(msgspec.Struct):
         return [
             name
             for name, user in self.known.items()
-            if user.kind == "person"
-            and not user.disabled
-            and self.roles.get(user_subject(name), _NOTHING).get(WHOLE_LAB) == "admin"
+            if user.is_person and self.roles.get(user_subject(name), _NOTHING).get(WHOLE_LAB) == "admin"
         ]
 
 

@@ -244,11 +244,11 @@ def _decide_count(
     known = len(here) + len(station.stock)
     types = {item.type for item in here} | set(station.stock)
     if command.kind and known and command.kind not in types and not sight.count_room(name):
-        return _doubt_other_type(state, here, station, command)
+        return _doubt_recorded(state, here, station, command, command.kind)
     fits = known and (not command.kind or command.kind in types)
     more = command.count - known if command.count is not None else (0 if fits else 1)
     if more < 0:
-        return _doubt_missing(state, here, station, command)
+        return _doubt_recorded(state, here, station, command)
     if more == 0:
         sight.add_empty(name)
         return chain(_withdraw_strange(state, name), sight.events())
@@ -302,35 +302,27 @@ def _find_question(state: LabState, place: StationName) -> Intervention | None:
     return next((question for question in asked if question.subject == place), None)
 
 
-def _doubt_missing(
-    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
+def _doubt_recorded(
+    state: LabState, here: list[Labware], station: StationState, command: ObserveStation, other_type: str = ""
 ) -> Iterator[Event]:
+    """The recorded labware was not seen, or labware of another type. If no labware with an id stands there,
+    nothing follows: a person has declared the stock of a stack."""
     place = station.spec.name
-    seen = "empty" if not command.count else f"with {command.count}"
-    for item in here:
-        yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
-    for some in split_into_batches(NotSeen, [item.id for item in here]):
-        yield state.interventions.ask(
-            NotSeen(module=station.spec.module, station=place, labware=tuple(some)),
-            f"{command.by} saw {local(place)} {seen}, where {name_some(some)} should stand. Where is it? "
-            f"If it stands elsewhere, say so with `labos observe STATION {some[0]}`.",
-        )
-
-
-def _doubt_other_type(
-    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
-) -> Iterator[Event]:
-    """If no labware with an id stands there, nothing follows: a person has declared the stock of a stack."""
-    module, place, kind = station.spec.module, station.spec.name, command.kind
     for item in here:
         yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
     for some in split_into_batches(NotSeen, here):
-        recorded = name_some([f"{item.id} ({item.type})" for item in some])
         names = tuple(item.id for item in some)
-        yield state.interventions.ask(
-            NotSeen(module=module, station=place, labware=names, other_type=kind),
-            f"{command.by} saw {kind} at {local(place)}, where {recorded} should stand.",
-        )
+        if other_type:
+            recorded = name_some([f"{item.id} ({item.type})" for item in some])
+            text = f"{command.by} saw {other_type} at {local(place)}, where {recorded} should stand."
+        else:
+            seen = "empty" if not command.count else f"with {command.count}"
+            text = (
+                f"{command.by} saw {local(place)} {seen}, where {name_some(names)} should stand. Where is it?"
+                f" If it stands elsewhere, say so with `labos observe STATION {names[0]}`."
+            )
+        topic = NotSeen(module=station.spec.module, station=place, labware=names, other_type=other_type)
+        yield state.interventions.ask(topic, text)
 
 
 def _report_elsewhere(state: LabState, labware: Labware, station: StationState, by: str) -> Iterator[Event]:
