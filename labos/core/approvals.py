@@ -128,16 +128,8 @@ class Proposal(ApprovalRequested, frozen=True):
         return {why.code for why in self.why}
 
 
-class LastApproval(msgspec.Struct):
-    """The last approved content under a name; for a campaign with its approved ``terms``."""
-
-    subject: str
-    parts: dict[str, str]
-    terms: Terms | None = None
-
-
 class Approvals(msgspec.Struct):
-    """``open`` are the proposals by subject. ``past`` are the last approvals by kind and name. ``given``
+    """``open`` are the proposals by subject. ``past`` are the last approved ones by kind and name. ``given``
     counts the approvals of each user's submissions. ``alike`` are, by experiment, the workflows (by
     ``take_common_parts``) whose further runs need no approval. ``applied`` is the digest of the policy's
     file."""
@@ -145,12 +137,12 @@ class Approvals(msgspec.Struct):
     policy: Policy = Policy()
     applied: str = ""
     open: dict[str, Proposal] = {}
-    past: dict[str, LastApproval] = {}
+    past: dict[str, Proposal] = {}
     given: dict[str, int] = {}
     alike: dict[str, dict[str, bool]] = {}
 
-    def find_last(self, kind: Kind, name: str) -> LastApproval | None:
-        """The last approval of a kind and name."""
+    def find_last(self, kind: Kind, name: str) -> Proposal | None:
+        """The last approved proposal of a kind and name."""
         return self.past.get(f"{kind}:{name}")
 
 
@@ -179,7 +171,7 @@ def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> 
     approvals.past.pop(key, None)
     terms = event.terms or proposal.terms
     changed = {"terms": digest(encode_canonical(terms))} if event.terms is not None else {}
-    approvals.past[key] = LastApproval(proposal.subject, proposal.parts | changed, terms)
+    approvals.past[key] = msgspec.structs.replace(proposal, parts=proposal.parts | changed, terms=terms)
     while len(approvals.past) > PAST_KEPT:
         del approvals.past[next(iter(approvals.past))]
     approvals.given[proposal.user] = approvals.given.get(proposal.user, 0) + 1

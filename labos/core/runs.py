@@ -12,7 +12,7 @@ import msgspec
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId
 from labos.core.interventions import InterventionRequested
-from labos.core.model import MAIN, Plan, PlanStep, Window
+from labos.core.model import MAIN, Plan, Window
 from labos.core.plans import PlanRecorded, PlanState, PlanStepsRecorded, release_plan
 from labos.core.registry import Event, event
 from labos.core.structs import make_from
@@ -543,16 +543,13 @@ def _drop_holder(runs: Runs, module: ModuleName, run: RunId) -> None:
 def _remember(runs: Runs, run: RunState) -> None:
     steps = runs.plan_of(run).steps
     past = runs.past.setdefault(run.experiment, {})
-    past[run.id] = EndTimes(run.workflow, _list_ends(steps, run.steps))
+    ends = {p.key: s.ended_at for p, s in zip(steps, run.steps, strict=True) if s.ended_at is not None}
+    past[run.id] = EndTimes(run.workflow, ends)
     if len(past) > PAST_KEPT:
         last = {known.workflow: name for name, known in past.items()}
         name = next((name for name, known in past.items() if last[known.workflow] != name), None)
         if name is not None:
             del past[name]
-
-
-def _list_ends(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str, int]:
-    return {p.key: s.ended_at for p, s in zip(plan, steps, strict=True) if s.ended_at is not None}
 
 
 def fold_intervention_requested(runs: Runs, event: InterventionRequested, at: int) -> None:

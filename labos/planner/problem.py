@@ -113,7 +113,8 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
     """The runs that are planned together: those in progress, and the first of the waiting ones."""
-    inside = [run for run in state.runs.list_inside(cell) if _goes_on(run)]
+    active = [run for run in state.runs.list_inside(cell) if run.status == RunStatus.ACTIVE]
+    inside = [run for run in active if not find_holds(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
     found: list[RunState] = []
     steps, windowed = 0, False
@@ -185,10 +186,6 @@ def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]
             tuple(setup.compute_cost_s(module.set_up_for, found) for found in args.values()),
             tuple(tuple(setup.compute_cost_s(before, found) for found in args.values()) for before in values),
         )
-
-
-def _goes_on(run: RunState) -> bool:
-    return run.status == RunStatus.ACTIVE and not find_holds(run)
 
 
 class _Reader:

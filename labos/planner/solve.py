@@ -30,12 +30,11 @@ BOOKED_UNIT_S = 10.0
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """The start of each task (lab seconds from now), and the length of the whole. ``bound_s``: no schedule is
-    shorter; ``proven``: this one is the best. ``cost`` is what the search made as small as it could."""
+    """The start of each task (lab seconds from now), and the length of the whole. ``proven``: no schedule is
+    better. ``cost`` is what the search made as small as it could."""
 
     starts_s: tuple[float, ...]
     makespan_s: float
-    bound_s: float
     proven: bool
     cost: float = 0.0
 
@@ -200,7 +199,6 @@ def _search(
     return Schedule(
         tuple(solver.value(start) * unit for start in begin),
         max(map(solver.value, end), default=0) * unit,
-        solver.best_objective_bound * unit,
         status == cp_model.OPTIMAL,
         solver.objective_value,
     )

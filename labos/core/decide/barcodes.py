@@ -88,7 +88,7 @@ def _describe_place(labware: Labware) -> str:
 def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
     """The events that follow when a person has checked the plate. Labware that was found or taken away
     meanwhile is not changed."""
-    labware, other = _find_uncertain(state, topic.labware), _find_uncertain(state, topic.other)
+    labware, other = find_uncertain(state, topic.labware), find_uncertain(state, topic.other)
     here = topic.station
     events: list[Event] = []
     if other is not None:
@@ -110,6 +110,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
     return events
 
 
-def _find_uncertain(state: LabState, name: LabwareId) -> Labware | None:
+def find_uncertain(state: LabState, name: LabwareId) -> Labware | None:
+    """The labware, if its place is uncertain."""
     labware = state.bench.labware.get(name)
     return labware if labware is not None and labware.maybe else None

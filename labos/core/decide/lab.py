@@ -18,7 +18,7 @@ from labos.core.decide._base import (
 from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
-from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
+from labos.core.ids import SHARED, LabId, ModuleName, StationName, level_key, local, workcell_of
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import StationSpec, Workcell
@@ -172,11 +172,12 @@ def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
         needed.update(place for step in plan.plan.steps for place in list_places(step.effects))
         refilled = (e.module for s in plan.plan.steps for e in s.effects if isinstance(e, Replaces))
         needed.update(refilled)
-        by = [run.id for run in runs if run.plan == digest]
+        users = ", ".join(run.id for run in runs if run.plan == digest)
+        by = f" by {users}" if users else ""
         for name in sorted(gone & needed):
             yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use{_name_users(by)} and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{by} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
 
@@ -227,10 +228,6 @@ def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
                 "of its new capacity.",
                 "Move the labware away first.",
             )
-
-
-def _name_users(runs: list[RunId]) -> str:
-    return f" by {', '.join(runs)}" if runs else ""
 
 
 @decides_about(DeclareStation, expect_station)

@@ -9,6 +9,7 @@ from typing import assert_never
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, StationState
 from labos.core.decide._base import Command, Decision, Rejection, refuse_hotel
+from labos.core.decide.barcodes import find_uncertain
 from labos.core.decide.lookups import decides_about, expect_labware, expect_station
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import list_carried, list_moved, list_places, name_hand
@@ -387,12 +388,7 @@ def settle_sight(
             return [LabwarePlaced(state.bench.next_id, "", topic.type, here, SHARED)] if new else []
         case _:
             assert_never(topic)
-    return [_observe_at(name, place, by) for name, place in where.items() if _is_doubtful(state, name)]
-
-
-def _is_doubtful(state: LabState, name: LabwareId) -> bool:
-    labware = state.bench.labware.get(name)
-    return labware is not None and bool(labware.maybe)
+    return [_observe_at(name, place, by) for name, place in where.items() if find_uncertain(state, name)]
 
 
 def _observe_at(labware: LabwareId, place: StationName, by: str) -> Event:

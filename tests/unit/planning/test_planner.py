@@ -61,7 +61,7 @@ class Fixed:
 
     def __call__(self, problem: SchedulingProblem, seconds: float, hint: Mapping[int, float]) -> Schedule:
         starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
-        return Schedule(tuple(starts), 0.0, 0.0, False)
+        return Schedule(tuple(starts), 0.0, False)
 
 
 def chosen(lab: Driver) -> list[RunState]:
