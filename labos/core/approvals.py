@@ -219,12 +219,11 @@ def fold_approval_requested_into_runs(runs: Runs, event: ApprovalRequested, at: 
 
 
 def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> None:
-    if event.kind != "run":
-        return
-    run = runs.queued[RunId(event.subject)]
-    with requeue(runs, run):
-        run.held = False
-        run.priority = run.priority if event.priority is None else event.priority
+    if event.kind == "run":
+        run = runs.queued[RunId(event.subject)]
+        with requeue(runs, run):
+            run.held = False
+            run.priority = run.priority if event.priority is None else event.priority
 
 
 def fold_approval_requested_into_campaigns(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from labos.core import reasons
-from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
 from labos.core.resources import list_used_up, sum_consumption
 from labos.core.runs import RunState, RunStatus, StepStatus
@@ -79,9 +78,10 @@ def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> _Plan
     """A step under way counts with its planned duration, or with its real duration so far if that is
     longer."""
     seconds, amounts = 0.0, dict[str, float]()
-    lasted: dict[tuple[RunId, int], float] = {}
-    for action in state.actions.open.values():
-        lasted[action.run, action.step] = (now - action.requested_at) * state.lab.pace / 1e9
+    lasted = {
+        (action.run, action.step): (now - action.requested_at) * state.lab.pace / 1e9
+        for action in state.actions.open.values()
+    }
     for name in state.shares.started:
         run = state.runs.active.get(name)
         if run is None or run.user not in users:

@@ -280,7 +280,7 @@ def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[
 
 @decides_about(AcceptAction, find_attempt)
 def accept_action(state: LabState, command: AcceptAction, action: Action) -> Decision:
-    accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
+    accepted = make_from(ActionAccepted, action, action=action.id)
     if action.status == ActionStatus.UNKNOWN and not action.looks:
         # Its node was away and is back. A question because of a late end stays open.
         due = find_end_by(state, action)

@@ -46,6 +46,7 @@ from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed, ResourceReplenished, list_charges
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import LostLabware, UnknownAction
 from labos.core.wells import list_doses
 
@@ -115,9 +116,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     if choice == "done" and result is None and action.looks:
         result = action.result
     done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
-    yield ActionReconciled(
-        action.id, action.run, action.step, action.module, action.attempt, done, by, result
-    )
+    yield make_from(ActionReconciled, action, action=action.id, effects=done, by=by, result=result)
     if choice == "done":
         yield from list_effect_events(state, action, "all", "", result, looked=True)
         yield from record_barcodes(state, action, result, by)

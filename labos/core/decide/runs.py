@@ -274,9 +274,7 @@ def pause_run(state: LabState, command: PauseRun, run: RunState) -> Decision:
 
 @decides_about(ResumeRun, expect_run)
 def resume_run(state: LabState, command: ResumeRun, run: RunState) -> Decision:
-    if not run.paused:
-        return []
-    return [RunResumed(command.run)]
+    return [RunResumed(command.run)] if run.paused else []
 
 
 @decides(BreachWindow)
