@@ -168,7 +168,7 @@ class Messages:
                     kind = f".{full_name}.{kind}"
                 case Named():
                     kind = f".{package}.DataType_{data_type.name}"
-                case _:
+                case Basic():
                     kind = f".{FRAMEWORK}.{data_type.name}"
             self._add_field(message, element.name, number, kind, repeated=repeated)
 
