@@ -6,6 +6,7 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.registry import TYPES, Event, event
+from labos.core.structs import make_from
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 
 REASONS = {
@@ -75,14 +76,10 @@ def list_references_in_words(kind: str, payload: bytes) -> list[str]:
     return list_references("\n".join(text for text in words if isinstance(text, str)).encode())
 
 
-class Erasure(msgspec.Struct):
+class Erasure(ErasureAsked, frozen=True):
     """An erasure that waits for a second person since ``asked_at`` (UTC ns)."""
 
-    because: str
-    by: str
-    records: tuple[int, ...]
-    user: str
-    asked_at: int
+    asked_at: int = 0
 
 
 class Erasures(msgspec.Struct):
@@ -98,7 +95,7 @@ class Erasures(msgspec.Struct):
 
 def fold_asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
     erasures.asked += 1
-    erasures.open[event.erasure] = Erasure(event.because, event.by, event.records, event.user, at)
+    erasures.open[event.erasure] = make_from(Erasure, event, asked_at=at)
 
 
 def fold_ended(erasures: Erasures, event: ErasureRefused | WordsErased, at: int) -> None:

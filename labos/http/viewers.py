@@ -220,6 +220,8 @@ class _Server:
             case Grown(durable):
                 self.durable = max(self.durable, durable)
                 self._grown.set()
+            case Follow() | OpenLog():
+                pass  # its connection did not come with the packet; the log is open already
 
     async def keep_up(self) -> None:
         """Read new events and send them, without end."""

@@ -99,7 +99,8 @@ def _explain_error(error: Exception) -> str:
             return "it is not UTF-8"
         case msgspec.MsgspecError():
             return explain_plainly(error, FORMS)
-    return str(error)
+        case _:
+            return str(error)
 
 
 def read_asker(request: Request) -> str:

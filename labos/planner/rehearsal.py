@@ -19,6 +19,7 @@ from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 from labos.core.runs import RunCancelled, RunState
 from labos.core.state import LabState, encode_picture, from_picture
+from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import draw, estimate_at_level
 from labos.planner.measure import Score, judge, rate_runs
@@ -120,9 +121,7 @@ class OrderRehearsal:
         state, order = from_picture(self._base), way.order
         state.suggestions.orders.pop(self.cell, None)
         if order is not None:
-            state.suggestions.orders[self.cell] = OrderSuggested(
-                order.workcell, order.by, order.until, order.steps
-            )
+            state.suggestions.orders[self.cell] = make_from(OrderSuggested, order)
         lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
         lab = VirtualLab(state, self.now, lasts, orders=self._orders, overtaken=self._overtaken)
         way.plays.append(lab.go_on())

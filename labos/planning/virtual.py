@@ -290,7 +290,7 @@ class VirtualLab:
             while (
                 plans
                 and campaign is not None
-                and campaign.takes_rows
+                and campaign.room
                 and self._admitted.get(name, 0) < self._most_rows
                 and not explain_full_queue(self.state, campaign.user)
             ):

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.approvals import LastApproval, Proposal
+from labos.core.approvals import Proposal
 from labos.core.ids import CampaignId
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
@@ -51,14 +51,14 @@ def list_differences(log: Log, blobs: BlobReader, state: LabState, proposal: Pro
         campaign = state.campaigns.open.get(CampaignId(proposal.subject))
         was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
         return [ChangedPart("terms", tuple(compare(was, msgspec.to_builtins(proposal.terms))))]
-    past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
+    past = state.approvals.find_last(proposal.kind, proposal.name)
     if past is None:
         return []
     return [ChangedPart(part, _compare_lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
 def _compare_lines(
-    log: Log, blobs: BlobReader, proposal: Proposal, past: LastApproval, part: str
+    log: Log, blobs: BlobReader, proposal: Proposal, past: Proposal, part: str
 ) -> tuple[str, ...]:
     was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import get_args
 
-from labos.core.reasons import AnyReason, BetterHere, Quota, Urgency
+from labos.core.reasons import AnyReason, BetterHere, NeedsPerson, Quota
 from labos.planning.explain import find_remedy
 from labos.planning.obstacle import explain_wait
 from labos.services.waits import list_reasons
@@ -68,7 +68,7 @@ def test_a_run_that_will_come_to_rest_in_the_way_is_named() -> None:
 
 
 def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
-    people = {kind for kind in get_args(AnyReason) if kind.URGENCY is Urgency.PERSON}
+    people = {kind for kind in get_args(AnyReason) if issubclass(kind, NeedsPerson)}
     without = {kind for kind in people if not kind.REMEDY and "remedy" not in vars(kind)}
     assert without == {Quota, BetterHere}, "these end with a day, and with a module"
     lab = Driver(CELL)

@@ -61,7 +61,7 @@ class Fixed:
 
     def __call__(self, problem: SchedulingProblem, seconds: float, hint: Mapping[int, float]) -> Schedule:
         starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
-        return Schedule(tuple(starts), 0.0, 0.0, False)
+        return Schedule(tuple(starts), 0.0, False)
 
 
 def chosen(lab: Driver) -> list[RunState]:
@@ -115,7 +115,7 @@ def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_
     times = lab.state.lengths.by_kind[make_kind(work)] = Times()
     for seconds in (80, 60, 100):
         times.add(int(seconds * 1e9))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now, level)
+    problem = problem_of(lab.state, chosen(lab), lab.now, level)
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s
     assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
@@ -126,7 +126,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     lab, first, second = waits()
     begins, ends = lab.now + 700 * SECOND, lab.now + 1500 * SECOND
     lab.do(MakeBooking("cell/dev", NewTerms(begins=begins, ends=ends, maintenance=True), "op", lab.now))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     shut = {(task.run, task.step): task.shut for task in problem.tasks}
     assert shut[first, 0] == ((700.0, 1500.0),)
     assert shut[second, 1] == (), "the other module is free"
@@ -146,7 +146,7 @@ def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() ->
     long = lab.submit(plan(step("dev", key="a", duration_s=6000.0), name="long"))
     for number in range(12):
         lab.submit(plan(step("dev", key="a", duration_s=60.0), name=f"short {number}"))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     found = solve(problem, 5.0)
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}
