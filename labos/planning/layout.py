@@ -34,7 +34,7 @@ from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.floor import OTHERS, Actor, Floor, change_claim
-from labos.planning.moves import _change_pile, _go_back, move
+from labos.planning.moves import change_pile, go_back, move
 from labos.planning.paths import (
     Motion,
     door_key,
@@ -133,7 +133,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         floor.count[name] = len(station.stock)
         if spec.kind == "stack":
             floor.stock[name] = len(station.stock)
-            floor.piles[name] = []
+            floor.piles[name] = ()
         elif spec.kind == "waste":
             floor.endless.add(name)
             floor.count[name] = station.count
@@ -167,13 +167,12 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 if item.owner in holders:
                     who = holders[item.owner]
                     floor.lent[who] = (*floor.lent.get(who, ()), (place, item.lender))
-    for place, pile in floor.piles.items():
-        for labware in bench.stations[place].labware:
-            standing_there = bench.labware[labware]
-            if find_destination(bench, standing_there) == place:
-                pile.append(holders.get(standing_there.owner, standing_there.owner))
+    for stack in floor.piles:
+        standing = (bench.labware[labware] for labware in bench.stations[stack].labware)
+        staying = [item.owner for item in standing if find_destination(bench, item) == stack]
+        floor.piles[stack] = tuple(holders.get(owner, owner) for owner in staying)
     for place, who in coming:
-        floor.piles[place].append(who)
+        floor.piles[place] = (*floor.piles[place], who)
     for action in state.actions.list_in_cell(cell):
         for effect in action.effects:
             for place in floor.endless.intersection(effect.room).intersection(effect.cleared):
@@ -184,7 +183,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 floor.stock[what.stock] -= 1
                 floor.count[what.stock] -= 1
                 floor.count[target] += 1
-                _change_pile(floor, target, str(action.run))
+                change_pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep_after_failure(floor, actor, actor.kept)
@@ -229,7 +228,7 @@ def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> No
     """Keep what an actor needs if something that it has in flight fails."""
     for motion in kept:
         if motion.source:
-            _go_back(floor, actor, motion, -1)
+            go_back(floor, actor, motion, -1)
         else:
             move(floor, actor, motion)
 

@@ -14,7 +14,7 @@ from labos.planning.moves import may_move, move
 from labos.planning.paths import END
 from labos.planning.player import Step
 from labos.planning.safety import Safety, View, view_actor
-from labos.planning.witness import Trail, copy, copy_actor, finish_one_by_one, take_all_back
+from labos.planning.witness import Trail, copy, copy_actor, finish_one_by_one, go_on, take_all_back
 
 SEARCH_LIMIT = 100
 """Interleavings looked at before an order is given up."""
@@ -133,13 +133,10 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
     """Carry out an actor's next motion and those that are tied to it; nothing if one is not possible."""
     tied = True
     while tied:
-        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
-        if motion is None or not may_move(floor, actor, motion):
+        if actor.done >= len(actor.motions) or not go_on(floor, actor, trail):
             take_all_back(floor, trail)
             return False
-        tied = bool(ties[actor.done])
-        trail.append((actor, motion, move(floor, actor, motion)))
-        actor.done += 1
+        tied = bool(ties[actor.done - 1])
     return True
 
 

@@ -57,7 +57,6 @@ from labos.planning.witness import (
     copy_actor,
     finish_one_by_one,
     interleave,
-    is_valid,
     list_order,
     replay,
 )
@@ -279,13 +278,13 @@ class Safety:
             known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
-            if complete and is_valid(copy(ground), [copy_actor(actor) for actor in actors], known.witness):
-                return msgspec.structs.replace(known, ends=known.ends & names)
-            if any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
+            if complete or any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
                 order = replay(copy(ground), [copy_actor(a) for a in actors if not a.stuck], known.witness)
                 if order is not None:
-                    known = self._known[view] = LastResult(stuck, order, known.ends & names)
-                    return known
+                    found = LastResult(stuck, order, known.ends & names)
+                    if not complete:
+                        self._known[view] = found
+                    return found
         free = names - stuck
         witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free)
         if not ends >= free and self._given_up.get(view) != (names, stuck):
