@@ -21,8 +21,7 @@ Everybody's labware beside is an obstacle.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import msgspec
 
@@ -30,14 +29,11 @@ from labos.core.booked import find_begun
 from labos.core.ids import (
     SHARED,
     ExperimentId,
-    ModuleName,
     Owner,
-    StationName,
     experiment_owner,
     run_owner,
     user_owner,
 )
-from labos.core.model import Together
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, list_statuses
 from labos.core.state import LabState
@@ -47,7 +43,16 @@ from labos.planning.layout import find_joint, find_standing, is_down, keep_after
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
-from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, make_path, name_leftover_owner
+from labos.planning.paths import (
+    END,
+    FORKED,
+    CellRules,
+    ClosingStep,
+    Motion,
+    Path,
+    make_path,
+    name_leftover_owner,
+)
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.suggested_way import follow_order
 from labos.planning.witness import (
@@ -113,14 +118,14 @@ class Safety:
             if len(self._paths) > max(4096, 2 * len(state.runs.plans)):
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
             known = state.runs.plans[plan].plan
-            found = self._paths[plan] = make_path(known, *_make_rules(state, known.workcell))
+            found = self._paths[plan] = make_path(known, _make_rules(state, known.workcell))
         return found
 
     def _list_motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
         """The motions of a step, on whichever way it is done."""
         if run.status == RunStatus.LEAVING:
             rules = _make_rules(state, state.runs.plan_of(run).workcell)
-            return [motion for motion in find_way_out(state, run, *rules) if motion.step == step]
+            return [motion for motion in find_way_out(state, run, rules) if motion.step == step]
         return list_motions(self.find_path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -325,11 +330,11 @@ class Safety:
         experiment, owner = state.experiments.open[name], experiment_owner(name)
         path = self.find_path(state, experiment.closing)
         reached = [place for motion in path.motions for place in (motion.source, motion.target)]
-        modules = [module for _, module in path.modules]
-        cell = state.runs.plans[experiment.closing].plan.workcell
+        plan = state.runs.plans[experiment.closing].plan
+        modules = {step.module for step in plan.steps}
         dead = any(is_down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
             module.cut_off and reaches_into(state, module.spec.name, reached)
-            for _, module in state.modules.list_in_cell(cell)
+            for _, module in state.modules.list_in_cell(plan.workcell)
         )
         motions = _make_closing(path)
         waits = [Motion(motion.step, grabs=((owner, None),)) for motion in motions[:1]]
@@ -357,7 +362,7 @@ class Safety:
         kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *end)
         if run.status == RunStatus.LEAVING:
-            motions = (*find_way_out(state, run, *_make_rules(state, plan.workcell)), *end)
+            motions = (*find_way_out(state, run, _make_rules(state, plan.workcell)), *end)
         elif path.ways:
             motions, forks = find_branches(
                 path, plan, run, states, end, self._list_motions_after_failure(state, run)
@@ -427,29 +432,16 @@ def _end(home: Owner) -> tuple[Motion, ...]:
     return (Motion(END, frees=(home,), heir=name_leftover_owner(home)),) if home else ()
 
 
-Rules = tuple[
-    dict[StationName, str],
-    dict[ModuleName, Mapping[str, Any]],
-    dict[ModuleName, tuple[StationName, ...]],
-    dict[ModuleName, Together],
-]
-
-
-def _make_rules(state: LabState, cell: str) -> Rules:
-    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
-    modules' doors and lids stand at rest; which stations are theirs, as plans name them; and what they do for
-    several runs at once."""
+def _make_rules(state: LabState, cell: str) -> CellRules:
     stations = state.bench.stations
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
-    rests: dict[ModuleName, Mapping[str, Any]] = {
-        name: module.spec.rest for name, module in state.modules.list_in_cell(cell) if module.spec.rest
-    }
+    rests = {name: module.spec.rest for name, module in state.modules.list_in_cell(cell) if module.spec.rest}
     nests = {
         name: tuple(dict.fromkeys(map(state.bench.find_planned_place, state.bench.by_module.get(name, ()))))
         for name, _ in state.modules.list_in_cell(cell)
     }
-    return claims, rests, nests, find_joint(state, cell)
+    return CellRules(claims, rests, nests, find_joint(state, cell))
 
 
 def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:
