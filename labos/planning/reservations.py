@@ -34,12 +34,14 @@ from labos.core.zones import find_zones
 from labos.planning.forecast import (
     find_deadline,
     find_earliest_start,
+    find_latest_starts,
     find_longest_time,
     find_pending_before,
     find_setup_in_progress,
     find_spread,
     find_usual_time,
     is_pending,
+    list_clocked,
     list_uses,
 )
 from labos.planning.helpers import Helpers, find_helpers
@@ -218,12 +220,7 @@ class Reservations:
         """A step that would start a clock waits while those that run already, and what is in flight,
         leave no room for the step that has to follow in time."""
         plan = state.runs.plans[run.plan]
-        followers = [
-            index
-            for index in plan.windowed
-            for window in plan.plan.steps[index].windows
-            if window.anchor == step and window.within_s is not None
-        ]
+        followers = list_clocked(plan, step)
         if not followers:
             return None
         others = [found for found in reservations if found.run != run.id]
@@ -325,14 +322,7 @@ def _make_reservation(
         return None
     if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is not None:
         return None
-    latest = dict.fromkeys(chain, end)
-    for follower in reversed(chain):
-        for step in plan.steps[follower].after:
-            if step in latest:
-                waits = [w.wait_s for w in plan.steps[follower].windows if w.anchor == step]
-                pause = convert_lab_s(state, max(waits, default=0.0))
-                before = latest[follower] - pause - find_longest_time(state, plan.steps[step])
-                latest[step] = min(latest[step], before)
+    latest = find_latest_starts(state, plan, chain, end, find_longest_time)
     needs: list[Need] = []
     for step in chain:
         begin = max(
