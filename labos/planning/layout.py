@@ -27,6 +27,7 @@ from labos.core.ids import (
     StationName,
     find_owning_run,
     split_key,
+    workcell_of,
 )
 from labos.core.leaving import will_leave
 from labos.core.model import Plan, Together
@@ -34,17 +35,9 @@ from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.floor import OTHERS, Actor, Floor, change_claim
+from labos.planning.held import door_key, hold_key, joint_claim, ready_key, setpoint_key, variable_key
 from labos.planning.moves import change_pile, go_back, move
-from labos.planning.paths import (
-    Motion,
-    door_key,
-    hold_key,
-    is_joint,
-    joint_claim,
-    ready_key,
-    setpoint_key,
-    variable_key,
-)
+from labos.planning.paths import Motion, is_joint
 
 
 def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -119,7 +112,6 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     known takes up room wherever it may be; hopefully seen, an action of unknown outcome counts
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
-    prefix = f"{cell}/"
     floor = Floor(held=_find_held(state, cell), values=_list_values(state, cell))
     joint = find_joint(state, cell)
     if joint:
@@ -154,7 +146,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
         place = find_destination(bench, item)
-        if place.startswith(prefix):
+        if workcell_of(place) == cell:
             floor.count[place] = floor.count.get(place, 0) + 1
             if place in floor.piles and place != item.station:
                 coming.append((place, holders.get(item.owner, item.owner)))

@@ -10,7 +10,8 @@ from labos.core.ids import RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import CellRules, Motion, RunOnBench, door_key, list_motions_of_steps, setpoint_key
+from labos.planning.held import door_key, setpoint_key
+from labos.planning.paths import CellRules, Motion, RunOnBench, list_motions_of_steps
 
 
 def find_way_out(state: LabState, run: RunState, rules: CellRules) -> tuple[Motion, ...]:

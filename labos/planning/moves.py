@@ -12,17 +12,16 @@ from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Floor, change_claim, is_closing
-from labos.planning.paths import (
-    JOINT,
-    READY,
-    Motion,
+from labos.planning.held import (
     door_key,
     find_kept_module,
     had_key,
     joint_claim,
     list_guard_keys,
+    may_be_shared,
     ready_key,
 )
+from labos.planning.paths import Motion
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -207,7 +206,7 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     """Whether nobody else holds it, or everybody wants the same."""
-    if key.startswith(READY):
+    if may_be_shared(key):
         return True
     holders = floor.held.get(key)
     return not holders or all(
@@ -217,7 +216,7 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
-    if claim.startswith(JOINT):
+    if may_be_shared(claim):
         return True
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():

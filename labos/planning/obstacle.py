@@ -17,9 +17,10 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.explain import describe_wait
 from labos.planning.floor import Actor, Floor
+from labos.planning.held import door_key, find_kept_module, hold_key
 from labos.planning.layout import lay_out
 from labos.planning.moves import Mover, find_usable_place, may_move, move
-from labos.planning.paths import Motion, door_key, find_kept_module, hold_key
+from labos.planning.paths import Motion
 from labos.planning.safety import Safety, View, view_actor
 from labos.planning.witness import copy_actor, finish_one_by_one
 

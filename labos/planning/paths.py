@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from functools import cache
 from itertools import pairwise
 from typing import Any, Final, Literal, NamedTuple
 
@@ -29,6 +28,7 @@ from labos.core.effects import (
 )
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.core.model import Plan, PlanStep, Together
+from labos.planning.held import door_key, hold_key, ready_key, setpoint_key, variable_key
 
 END: Final = "end"
 """In place of a step's index: a run's end, at which it lets go of all that it holds."""
@@ -376,66 +376,9 @@ def _list_needs(
     return tuple(found)
 
 
-@cache
-def door_key(module: ModuleName) -> str:
-    """What a run holds that left a door or lid of a module away from rest."""
-    return f"door:{module}"
-
-
-@cache
-def hold_key(module: ModuleName) -> str:
-    """What a run holds that keeps a module by its plan's word."""
-    return f"hold:{module}"
-
-
-@cache
-def list_guard_keys(module: ModuleName) -> tuple[str, str]:
-    """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
-    return door_key(module), hold_key(module)
-
-
-JOINT: Final = "joint:"
-"""Before the name of a module: what the stations of one claim that does things for several runs at once.
-Everybody may have labware there."""
-
-READY: Final = "ready:"
-"""Before what runs hold that are ready for such a thing: several may be, also for different ones."""
-
-
-@cache
-def joint_claim(module: ModuleName) -> str:
-    return f"{JOINT}{module}"
-
-
-@cache
-def ready_key(module: ModuleName) -> str:
-    """What a run holds that is ready for what a module does for several runs at once."""
-    return f"{READY}{JOINT}{module}"
-
-
-@cache
-def had_key(module: ModuleName) -> str:
-    """What a run holds for which a module has done it already, together with another one."""
-    return f"{READY}had:{JOINT}{module}"
-
-
 def is_joint(joint: Mapping[ModuleName, Together], step: PlanStep) -> bool:
     """Whether a module does a step for several runs at once."""
     return step.module in joint and step.action in joint[step.module].actions
-
-
-def find_kept_module(key: str) -> ModuleName:
-    """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
-    return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
-
-
-def variable_key(module: ModuleName, variable: str) -> str:
-    """A variable of a module that stays as the last action has set it."""
-    return f"variable:{module}.{variable}"
-
-
-def setpoint_key(module: ModuleName, setpoint: str) -> str:
-    return f"setpoint:{module}.{setpoint}"
 
 
 def _find_holds(
