@@ -117,8 +117,8 @@ class Motion(msgspec.Struct, frozen=True):
     def changes_anything(self) -> bool:
         """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
         else."""
-        lets_go = self.frees or self.returns or self.heir
-        return bool(self.target or self.grabs or lets_go or self.needs or self.sets)
+        gives = self.frees or self.returns or self.heir
+        return bool(self.target or self.grabs or gives or self.needs or self.sets)
 
 
 def carry(

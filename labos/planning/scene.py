@@ -237,7 +237,7 @@ class Scene:
         there = [owner for owner, _ in self.standing.get(place, ())]
         return next((owner for owner in list_party(run) if owner in there), run_owner(run.id))
 
-    def let_go(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
+    def release(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
         """A step has ended: what it took and what it leaves is there for others."""
         if self.busy.get(step.module) == who:
             del self.busy[step.module]
