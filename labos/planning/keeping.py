@@ -465,17 +465,14 @@ def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bo
 
 
 def _make_players(trial: Trial, advice: Advice) -> Iterable[Player]:
-    plan, state = trial.plan, trial.plan.state
-    ends: dict[str, dict[int, int]] = {}
-    for end, _, (name, index), *_ in plan.scene.flying:
-        ends.setdefault(name, {})[index] = end
+    plan, state, ends = trial.plan, trial.plan.state, trial.plan.scene.list_ends()
     obliged = {str(run.id): run for run in [*plan.obliged, *([trial.run] if trial.run is not None else [])]}
     leaving = [state.runs.get(name) for name in sorted(advice.leaving - obliged.keys())]
     going = [run for run in leaving if run is not None and not find_holds(run) and not run.is_ending]
     for run in (*obliged.values(), *going):
         name = str(run.id)
         first = [trial.step] if trial.run is not None and run.id == trial.run.id else []
-        yield Player(state, run, dict(ends.get(name, {})), free=name in advice.leaving, first=first)
+        yield Player(state, run, ends.get(name, {}), free=name in advice.leaving, first=first)
 
 
 def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:

@@ -109,6 +109,13 @@ class Scene:
             other.values[key] = (value if by[0] in mine else rest.get(key[1], value)), by
         return other
 
+    def list_ends(self) -> dict[str, dict[int, int]]:
+        """When steps in flight end (UTC ns), by run."""
+        ends: dict[str, dict[int, int]] = {}
+        for end, _, (name, index), *_ in self.flying:
+            ends.setdefault(name, {})[index] = end
+        return ends
+
     # -- who is in the way -----------------------------------------------------------------------
 
     def find_in_the_way(self, player: Player, index: int) -> Who | None:
