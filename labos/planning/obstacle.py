@@ -15,7 +15,6 @@ from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.planning.floor import Actor, Floor
 from labos.planning.held import door_key, find_kept_module, hold_key
 from labos.planning.layout import lay_out
@@ -27,7 +26,7 @@ from labos.planning.witness import copy_actor, finish_one_by_one
 
 def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
-    text = describe_wait(wait)
+    text = wait.reason.sentence
     cause = find_obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{text}: {cause}" if cause else text
 
