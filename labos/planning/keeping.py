@@ -115,10 +115,9 @@ Standing = dict[str, tuple[StepStatus, ...]]
 class Windows:
     """Judges starts in one state after the other. ``plays`` counts rehearsals."""
 
-    def __init__(self, limit: int = SEARCH_LIMIT, own: dict[str, OrderSuggested] | None = None) -> None:
+    def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.plays = 0
         self._own = own if own is not None else {}
-        self._limit = limit
         self._at: tuple[int, int] | None = None
         self._plans: dict[str, CellOutlook] = {}
         self._advice: dict[str, Advice] = {}
@@ -359,10 +358,10 @@ class Windows:
     # -- searching -----------------------------------------------------------------------------
 
     def _search(
-        self, trial: Trial, *, forced: bool = False, limit: int = 0
+        self, trial: Trial, *, forced: bool = False, limit: int = SEARCH_LIMIT
     ) -> tuple[Advice, RehearsalResult]:
         """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
-        plan, limit = trial.plan, limit or self._limit
+        plan = trial.plan
         start = trial.who if trial.run is not None and forced else None
         tried: list[tuple[tuple[int, int], int, Advice, RehearsalResult]] = []
         open_: list[tuple[tuple[int, int], int, Advice, RehearsalResult]] = []

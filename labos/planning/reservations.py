@@ -96,7 +96,7 @@ class Reservations:
     def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.refusals = 0
         self._own = own if own is not None else {}
-        self.windows = Windows(own=self._own)
+        self.windows = Windows(self._own)
         self._position: dict[str, int] = {}
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
@@ -130,7 +130,7 @@ class Reservations:
     @contextmanager
     def forget_afterwards(self) -> Iterator[None]:
         """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
-        kept, self.windows = self.windows, Windows(own=self._own)
+        kept, self.windows = self.windows, Windows(self._own)
         self.windows.remember(kept)
         try:
             yield

@@ -246,8 +246,8 @@ class _Location:
         self.ways: dict[str, Any] = {}
         self.kind, self.capacity = "nest", 1
 
-    def warn(self, message: str, remedy: str = "Check the name.") -> None:
-        self.reader.warn_of_assumption(self.path, message, remedy)
+    def warn(self, message: str) -> None:
+        self.reader.warn_of_assumption(self.path, message, "Check the name.")
 
     def read(
         self,

@@ -39,7 +39,7 @@ def test_while_its_hand_is_full_an_arm_only_puts_that_down() -> None:
         found = lab.check_start(run)
         assert isinstance(found, Wait)
         assert found.code in ("hand_full", "nothing_there")
-    assert lab.check_start("R2").reason.sentence == "the hand of arm holds P1"  # type: ignore[arg-type]
+    assert lab.check_start("R2").reason.sentence == "the hand of arm holds P1"  # type: ignore[union-attr]
     assert lab.code(lab.submit(plan(step("arm")))) == "", "what carries nothing needs no hand"
     assert lab.code(lab.submit(route("stack", "c", arm="arm2"))) == "", "other hands are free"
     lab.step(held, 1)

@@ -46,8 +46,8 @@ def test_three_failures_are_too_many() -> None:
     waiting = lab.submit(plan(step("dev")))
     wait = lab.check_start(waiting)
     assert lab.code(waiting) == "out_of_service"
-    assert "at last: no foil" in wait.reason.sentence  # type: ignore[arg-type]
-    assert "labos in-service dev" in wait.reason.remedy  # type: ignore[arg-type]
+    assert "at last: no foil" in wait.reason.sentence  # type: ignore[union-attr]
+    assert "labos in-service dev" in wait.reason.remedy  # type: ignore[union-attr]
     lab.do(PutBack(DEV))
     assert lab.code(waiting) == ""
     assert (judge(lab), dev(lab).failures) == ([], []), "it starts afresh"
