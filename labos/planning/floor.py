@@ -73,7 +73,7 @@ ABSENT: Final = object()
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``paths``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
+    ``held.py``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
     what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
     topmost can be had; what is lent to actors until their ends (``lent``: where it stands, whose it
     is); and how the variables of modules stand that have no rest (``values``, by their keys).
