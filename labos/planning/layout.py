@@ -208,7 +208,7 @@ def _find_ready(
 def let_in(floor: Floor, actor: Actor) -> None:
     """Its experiment's closing workflow waits for its end."""
     if actor.home:
-        floor.held.setdefault(actor.home, {})[actor.name] = "inside"
+        floor.put(floor.held.setdefault(actor.home, {}), actor.name, "inside")
 
 
 def _is_pool(owner: Owner) -> bool:

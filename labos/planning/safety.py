@@ -58,7 +58,6 @@ from labos.planning.suggested_way import follow_order
 from labos.planning.witness import (
     Trail,
     Witness,
-    copy,
     copy_actor,
     finish_one_by_one,
     interleave,
@@ -160,7 +159,9 @@ class Safety:
             hopeful = view.hopeful or not state.bench.lost
             if hopeful not in grounds:
                 grounds[hopeful] = lay_out(state, cell, actors, hopeful=hopeful)
-            after = self._check_after(state, run, step, copy(grounds[hopeful]), here, view)
+            mark = len(grounds[hopeful].changes)
+            after = self._check_after(state, run, step, grounds[hopeful], here, view)
+            grounds[hopeful].take_back(mark)
             if isinstance(after, list):
                 return after
             found[view] = after
@@ -254,8 +255,7 @@ class Safety:
                 floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step]
             )
             if known.witness and known.witness[0] == (name, FORKED):
-                here = [copy_actor(actor) for actor in actors]
-                order = replay(copy(floor), here, known.witness)
+                order = replay(floor, actors, known.witness)
                 if order is not None:
                     return LastResult(_find_stuck(actors), order, frozenset(to_end))
         else:
@@ -284,18 +284,17 @@ class Safety:
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
             if complete or any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
-                order = replay(copy(ground), [copy_actor(a) for a in actors if not a.stuck], known.witness)
+                order = replay(ground, [actor for actor in actors if not actor.stuck], known.witness)
                 if order is not None:
                     found = LastResult(stuck, order, known.ends & names)
                     if not complete:
                         self._known[view] = found
                     return found
         free = names - stuck
-        witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free)
+        witness, ends = self.find(ground, actors, free)
         if not ends >= free and self._given_up.get(view) != (names, stuck):
             self._given_up[view] = (names, stuck)  # not again while the same are inside
-            limit = self._limit * THOROUGH
-            witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free, limit)
+            witness, ends = self.find(ground, actors, free, self._limit * THOROUGH)
         known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known
 
@@ -396,28 +395,30 @@ class Safety:
     def find(
         self, floor: Floor, actors: Sequence[Actor], keep: set[str], limit: int = 0
     ) -> tuple[Witness, set[str]]:
-        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep``
-        is missing, with at most ``limit`` interleavings (0: as many as usual). Changes floor and actors."""
+        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep`` is missing,
+        with at most ``limit`` interleavings (0: as many as usual). Changes neither floor nor actors."""
         self.searches += 1
         limit = limit or self._limit
-        waiting = [actor for actor in actors if not actor.stuck]
-        ground, all_over = copy(floor), [copy_actor(actor) for actor in waiting if actor.name in keep]
+        mark, able = len(floor.changes), [actor for actor in actors if not actor.stuck]
         trail: Trail = []
-        waiting = finish_one_by_one(floor, waiting, trail)
+        waiting = finish_one_by_one(floor, [copy_actor(actor) for actor in able], trail)
         order = list_order(trail)
-        ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
+        ends = {actor.name for actor in able} - {actor.name for actor in waiting}
         missing = [actor for actor in waiting if actor.name in keep]
         if missing and len(missing) == len(keep - ends):
             self.interleavings += 1
+            all_over = [copy_actor(actor) for actor in able if actor.name in keep]
             found = interleave(floor, missing, limit)
             if found is not None:
                 order += found
                 ends |= {actor.name for actor in missing}
             elif len(all_over) > len(missing):
                 # Whoever went first may have come to rest in the others' way.
-                found = interleave(ground, all_over, limit)
+                floor.take_back(mark)
+                found = interleave(floor, all_over, limit)
                 if found is not None:
                     order, ends = found, {actor.name for actor in all_over}
+        floor.take_back(mark)
         return tuple(order), ends
 
 

@@ -86,21 +86,24 @@ def take_step(floor: Floor, actor: Actor, step: MotionStep, trail: Trail) -> boo
 
 def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness | None:
     """The witness anew, after somebody has come to a fork or beyond, or people have put something in its way:
-    in the order that it gives, where whoever goes alone to its end from a fork still does. Changes floor and
-    actors."""
-    by_name = {actor.name: actor for actor in actors}
+    in the order that it gives, where whoever goes alone to its end from a fork still does. Changes neither
+    floor nor actors."""
+    mark = len(floor.changes)
     trail: Trail = []
-    for name, step in witness:
-        actor = by_name.get(name)
-        if actor is None:
-            return None
-        if step == FORKED:
-            if not walk(floor, actor, trail):
-                return None
-        elif actor.find_next_step() != step or not go_on(floor, actor, trail):
-            return None
-    over = all(actor.done >= actor.length for actor in actors)
+    by_name = {actor.name: copy_actor(actor) for actor in actors}
+    is_possible = all(_follow(floor, by_name.get(name), step, trail) for name, step in witness)
+    over = is_possible and all(actor.done >= actor.length for actor in by_name.values())
+    floor.take_back(mark)
     return tuple(list_order(trail)) if over else None
+
+
+def _follow(floor: Floor, actor: Actor | None, step: MotionStep, trail: Trail) -> bool:
+    """Let an actor do what a witness says next; whether that is possible."""
+    if actor is None:
+        return False
+    if step == FORKED:
+        return walk(floor, actor, trail)
+    return actor.find_next_step() == step and go_on(floor, actor, trail)
 
 
 def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
@@ -164,24 +167,6 @@ def _place(actor: Actor) -> object:
 
 def list_order(trail: Trail) -> list[tuple[str, MotionStep]]:
     return [(actor.name, motion.step) for actor, motion, _ in trail]
-
-
-def copy(floor: Floor) -> Floor:
-    """A floor to try things out on."""
-    claimed = {claim: dict(holders) for claim, holders in floor.claimed.items()}
-    pools = {owner: dict(places) for owner, places in floor.pools.items()}
-    return msgspec.structs.replace(
-        floor,
-        count=dict(floor.count),
-        stock=dict(floor.stock),
-        claimed=claimed,
-        pools=pools,
-        held={key: dict(holders) for key, holders in floor.held.items()},
-        lent=dict(floor.lent),
-        values=dict(floor.values),
-        piles=dict(floor.piles),
-        changes=[],
-    )
 
 
 def copy_actor(actor: Actor) -> Actor:
