@@ -84,9 +84,7 @@ def _goes_as_suggested(
 def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
     """Whether every step of these runs starts at its time, and nobody is late, if all of it is rehearsed."""
     scene = Scene(state, cell, now)
-    ends: dict[str, dict[int, int]] = {}
-    for end, _, (name, index), *_ in scene.flying:
-        ends.setdefault(name, {})[index] = end
+    ends = scene.list_ends()
     players: list[Player] = []
     for name in dict.fromkeys(run for run, _ in starts):
         run = state.runs.get(RunId(name))

@@ -35,7 +35,7 @@ from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait
-from labos.planning.forecast import find_deadline, find_usual_time, is_pending
+from labos.planning.forecast import find_deadline, find_usual_time, is_pending, list_clocked
 from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken
 from labos.planning.touch import cell_key
@@ -127,7 +127,8 @@ class Adviser:
         if advice.order.by == OWN_WINDOWS and _has_clock(state, run):
             return None
         waits_outside = not run.has_started and (advice.order.by == OWN_WINDOWS or run.id in advice.kept_out)
-        if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
+        starts_clock = bool(list_clocked(state.runs.plans[run.plan], step))
+        if now < mine < LAST and not goes_first and (waits_outside or starts_clock):
             if (is_own or waits_outside) and self._has_waited_enough(state, run, step, now):
                 return None
             later = reasons.LaterHere if is_own or waits_outside else reasons.ClockLater
@@ -236,16 +237,6 @@ def _find_release(state: LabState, plan: Plan, step: int, resource: str, now: in
         if resource in emptied or resource not in filled:
             break
     return release
-
-
-def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
-    """Whether another step of the run has to follow the end of this one in time."""
-    plan = state.runs.plans[run.plan]
-    return any(
-        window.anchor == step and window.within_s is not None
-        for index in plan.windowed
-        for window in plan.plan.steps[index].windows
-    )
 
 
 def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:

@@ -28,7 +28,6 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import Refused
 from labos.planning.choosing import sort_options
-from labos.planning.explain import describe_wait
 from labos.planning.scheduler import Scheduler, list_ready_steps
 
 CAP = 32
@@ -71,7 +70,7 @@ def measure_capacity(
         wait = bench.start_oldest()
         if wait is None:
             continue
-        why = describe_wait(wait)
+        why = wait.reason.sentence
         if wait.blocked or not bench.go_on():
             break
     copies = len(bench.state.runs.active)

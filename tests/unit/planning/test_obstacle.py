@@ -6,7 +6,6 @@ from itertools import pairwise
 from typing import get_args
 
 from labos.core.reasons import AnyReason, BetterHere, NeedsPerson, Quota
-from labos.planning.explain import find_remedy
 from labos.planning.obstacle import explain_wait
 from labos.services.waits import list_reasons
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
@@ -74,7 +73,7 @@ def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
     lab = Driver(CELL)
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
-    assert find_remedy(wait) == "Fill it and report that: labos load stack --type TYPE --count N --lot LOT"
+    assert wait.reason.remedy == "Fill it and report that: labos load stack --type TYPE --count N --lot LOT"
 
 
 def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:

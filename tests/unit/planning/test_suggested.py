@@ -14,7 +14,6 @@ from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import MOST_STEPS, OrderSuggested, Suggested
-from labos.planning.explain import describe_wait
 from labos.planning.suggested import GRACE_S, MOST_S, Adviser
 from labos.planning.window_order import OWN_WINDOWS
 from tests.support.bench import Driver, full, module, move, plan, station, step, take, workcell
@@ -83,7 +82,7 @@ def suggest(lab: Driver, *steps: tuple[str, int, float], until_s: float = 3600.0
 
 def why(lab: Driver, run: str, index: int = 0) -> str:
     waits = dict(lab.scheduler.list_waits(lab.state, lab.run(run), lab.now))
-    return describe_wait(waits[index]) if index in waits else ""
+    return waits[index].reason.sentence if index in waits else ""
 
 
 def test_the_suggested_order_is_followed_and_explained() -> None:

@@ -9,7 +9,6 @@ from msgspec.structs import replace
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.explain import describe_wait
 from labos.planning.window_order import ENOUGH_EACH, MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import LONG_FIRST, lab_with, way
@@ -63,7 +62,7 @@ def test_a_run_waits_outside_for_its_time() -> None:
     wait = lab.scheduler.adviser.check_start(lab.state, lab.run("R2"), 0, lab.now)
     assert wait is not None
     assert wait.until == begins
-    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", describe_wait(wait))
+    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", wait.reason.sentence)
 
 
 def test_all_windows_are_kept_and_all_come_to_the_end() -> None:
