@@ -155,7 +155,7 @@ async def open_lab(
         stack.push_async_callback(lab.http.close)
         await stack.enter_async_context(serve_api_processes(settings, lab))
         feeder = Feeder(kernel, CampaignRows(lab.service).propose)
-        feeder.start()
+        await feeder.start()
         stack.push_async_callback(feeder.close)
         watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
         stack.callback(watching.cancel)

@@ -28,15 +28,13 @@ class Discovery:
     """Compares heartbeats and journals with one kernel's log. ``ask_about`` asks a node for its description,
     which includes its journal's entries; it raises BusError."""
 
-    def __init__(self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]]) -> None:
-        self._kernel, self._ask_about = kernel, ask_about
-        self._tasks = Tasks()
+    def __init__(
+        self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]], tasks: Tasks
+    ) -> None:
+        self._kernel, self._ask_about, self._tasks = kernel, ask_about, tasks
         self._looks = RateLimiter(kernel.clock, 1.0, 5)
         self._looked_for: dict[ModuleName, frozenset[ActionId]] = {}
         self._in_log: dict[ModuleName, set[ActionId]] = {}
-
-    def close(self) -> None:
-        self._tasks.cancel()
 
     async def find_unlogged(self, module: ModuleName, entries: Sequence[Unacknowledged]) -> list[FoundAction]:
         """The actions in a node's journal that are not in the log. An action that ended long ago is no longer

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import msgspec
 import structlog
@@ -54,12 +55,12 @@ from labos.node.protocol import (
     ResultPublished,
     Start,
 )
-from labos.ports import Bus, Handle
+from labos.ports import Bus
 from labos.runtime.doubts import Doubts
 from labos.runtime.incoming import RateLimiter, find_module, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.tasks import Tasks
+from labos.runtime.tasks import KernelPart, Tasks
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -76,7 +77,7 @@ MOST_ATTEMPTS = 2**31
 """A number of attempts that no action reaches."""
 
 
-class Dispatcher:
+class Dispatcher(KernelPart):
     """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; ``pause_s`` is
     the longest pause between questions to a node that does not answer; acknowledgements wait
     ``acknowledge_s``, so that several are sent as one."""
@@ -90,39 +91,34 @@ class Dispatcher:
         pause_s: float = 5.0,
         acknowledge_s: float = 1.0,
     ) -> None:
-        self._kernel, self._bus = kernel, bus
+        super().__init__(kernel)
+        self._bus = bus
         self._answer_s, self._pause_s, self._acknowledge_s = answer_s, pause_s, acknowledge_s
         self._keys = Keys(kernel.lab)
         self.doubts = Doubts(kernel)
         self.refuse: Callable[[ModuleName, str], None] = self.doubts.ask
         """Called for a module whose node does not obey this kernel, although it is the lab's kernel."""
-        self._tasks = Tasks()
         self._spawn = self._tasks.spawn
-        self._asking: dict[ActionId, asyncio.Task[None]] = {}
+        self._questions = Tasks()
         self._starting: dict[ActionId, tuple[ModuleName, str]] = {}
-        self._handles: list[Handle] = []
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
         self._by_person: set[str] = set()
         self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
         self._late: set[ActionId] = set()
-        self._fenced: set[ModuleName] = set()
         self._prompted = RateLimiter(kernel.clock, 0.1, 50)
         self.sent = 0
         self.asked = 0
 
     async def start(self) -> None:
         """Receive results from now on, and ask about everything that was in flight."""
-        self._kernel.listeners.append(self)
+        await super().start()
         self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
         self.on_reopened()
 
     async def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        for handle in self._handles:
-            handle.close()
-        self._tasks.cancel()
+        await super().close()
+        await self._questions.end()
 
     # -- from the log ------------------------------------------------------------------------
 
@@ -144,9 +140,7 @@ class Dispatcher:
     def on_reopened(self) -> None:
         """Ask about everything that is open. A question that is still unanswered may be about an attempt that
         was never written; its answer says nothing about the attempt in the log."""
-        for asking in self._asking.values():
-            asking.cancel()
-        self._asking.clear()
+        self._questions.cancel()
         self._starting.clear()
         self._open_at.clear()
         asked = self._kernel.state.interventions.open.values()
@@ -199,11 +193,8 @@ class Dispatcher:
         """Ask the node for the outcome of an action until it is known; only one question at a time. A node
         that has not answered the request yet is not asked: the question could overtake the request, and end
         the attempt."""
-        if self._is_being_started(action):
-            return
-        running = self._asking.get(action)
-        if running is None or running.done():
-            self._asking[action] = self._spawn(self._find_out(action))
+        if not self._is_being_started(action):
+            self._questions.spawn_once(action, partial(self._find_out, action))
 
     async def _find_out(self, name: ActionId) -> None:
         pause = 0.2
@@ -228,9 +219,6 @@ class Dispatcher:
                 return
         except StoreError as error:
             _log.info("question_given_up", action=name, why=str(error))
-        finally:
-            if self._asking.get(name) is asyncio.current_task():
-                del self._asking[name]
 
     def _acknowledge_soon(self, module: ModuleName) -> None:
         """One acknowledgement for all actions that end within a moment."""
@@ -387,9 +375,7 @@ class Dispatcher:
     def note_outranked(self, module: ModuleName, why: str) -> None:
         """A node reports that it obeys a newer kernel, or another lab's. Only the database can tell whether
         that is true."""
-        if module not in self._fenced:
-            self._fenced.add(module)
-            self._spawn(self._check_outranked(module, why))
+        self._tasks.spawn_once(module, partial(self._check_outranked, module, why))
 
     async def _check_outranked(self, module: ModuleName, why: str) -> None:
         try:
@@ -400,8 +386,6 @@ class Dispatcher:
             self._ask_about(module)  # unless another kernel has the lab: then this one has stopped
         else:
             self.refuse(module, why)
-        finally:
-            self._fenced.discard(module)
 
     def _ask_about(self, module: ModuleName) -> None:
         try:

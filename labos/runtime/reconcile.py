@@ -10,7 +10,6 @@ put down the labware in the hand, and observations before and after that do not 
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -25,7 +24,7 @@ from labos.core.modules import NodeJoined, NodeStateChanged
 from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, read_contents, resolve_station
+from labos.runtime.observing import ObservingPart, read_contents, resolve_station
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions with an unknown end."""
@@ -33,7 +32,7 @@ KINDS = ("unknown_action", "lost_labware")
 _log = structlog.get_logger(__name__)
 
 
-class Reconciler(ObservingListener[InterventionId]):
+class Reconciler(ObservingPart[InterventionId]):
     """Finds out for one kernel how motions with an unknown end have ended."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
@@ -79,9 +78,6 @@ class Reconciler(ObservingListener[InterventionId]):
                 await self._ask(other, self._list_possible_places(question), name)
         except LabosError as error:
             _log.info("look_given_up", intervention=name, why=str(error))
-        finally:
-            if self._observing.get(name) is asyncio.current_task():
-                del self._observing[name]
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
         """Let a module observe, and submit its observations to the kernel; returns whether it answered."""

@@ -22,14 +22,14 @@ from labos.errors import BusError, LabosError
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, read_contents
+from labos.runtime.observing import ObservingPart, read_contents
 
 PAUSE_S = 0.5
 
 _log = structlog.get_logger(__name__)
 
 
-class Verifier(ObservingListener[ActionId]):
+class Verifier(ObservingPart[ActionId]):
     """Observes for one kernel whether reported actions had their effects. ``patience_s`` is how long an
     observer that does not answer is asked."""
 
@@ -71,9 +71,6 @@ class Verifier(ObservingListener[ActionId]):
                 await asyncio.sleep(PAUSE_S)
         except LabosError as error:
             _log.info("look_given_up", action=name, why=str(error))  # observed again when the log is open
-        finally:
-            if self._observing.get(name) is asyncio.current_task():
-                del self._observing[name]
 
     async def _list_observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
         """The observations at the places where an action should have had its effect; and why not every place
