@@ -33,7 +33,6 @@ from labos.store._roles import grant_writer
 from labos.store._segment import check_chain, encode_record, read_segment, write_segment
 from labos.store._url import display_name, find_sqlite_path, parse_url
 from labos.store._verify import Damage, Progress, find_first_damage
-from labos.store._words import StoredWords
 from labos.store._words_copy import read_words_copy
 
 __all__ = [
@@ -54,7 +53,6 @@ __all__ = [
     "Segment",
     "SqlAccounts",
     "SqlEventStore",
-    "StoredWords",
     "TranslatedErrors",
     "add_erasures",
     "backup",

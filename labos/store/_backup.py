@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 
 from labos.core.envelope import GENESIS, Record
-from labos.core.fold import evolve
+from labos.core.fold import evolve, fold_rows
 from labos.core.registry import decode
 from labos.core.seals import add_seal, check_seal
 from labos.core.state import LabState, fold_fingerprint, from_picture, hash_state
@@ -291,8 +291,7 @@ def _fold_records(store: SqlEventStore, position: int) -> LabState:
     found = store.load_snapshot(fold_fingerprint())
     if found is not None and found[0] <= position:
         state = from_picture(found[2])
-    for row in store.replay(state.position, position):
-        evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
+    fold_rows(state, store.replay(state.position, position))
     return state
 
 

@@ -15,8 +15,8 @@ from sqlalchemy.engine import URL
 from labos.core.envelope import Record
 from labos.core.ids import LabId
 from labos.errors import BadInput, Fenced, Refused, StoreError, StoreUnavailable
-from labos.ports import Head
-from labos.store._backend import Backend, Holder, Row, WordChanges, find_holder
+from labos.ports import Head, Row
+from labos.store._backend import Backend, Holder, WordChanges, find_holder
 from labos.store._home import HomeFiles
 from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot

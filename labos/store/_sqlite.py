@@ -27,14 +27,13 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
-from labos.ports import Head
+from labos.ports import Head, Row
 from labos.private import make_database_file
 from labos.store._backend import (
     ERASE_WORDS,
     INSERT_WORDS,
     MOVE_HEAD,
     Backend,
-    Row,
     WordChanges,
     make_head_row,
 )

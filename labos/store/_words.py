@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-import msgspec
 from sqlalchemy import Connection, or_, select
 
 from labos.core.envelope import Record
@@ -13,21 +12,12 @@ from labos.core.erasure import WordsErased
 from labos.core.registry import decode
 from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
-from labos.store._backend import Row, WordChanges
+from labos.ports import Row, StoredWords
+from labos.store._backend import WordChanges
 from labos.store._tables import event, words
 
 _AT_ONCE = 500
 """The number of references that one statement looks up."""
-
-
-class StoredWords(msgspec.Struct, frozen=True):
-    """Words beside the log. ``position`` is the first event that refers to them, and ``erased_at`` the event
-    that erased them (0: none). If that is after the end of the log, they were erased in a log of which this
-    one is an older copy."""
-
-    words: Kept
-    position: int
-    erased_at: int
 
 
 NOTHING = WordChanges()

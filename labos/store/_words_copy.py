@@ -17,8 +17,8 @@ from labos.core.erasure import WordsErased, list_references_in_words
 from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import LogDamaged
+from labos.ports import StoredWords
 from labos.private import replace_file
-from labos.store._words import StoredWords
 
 WORDS = "words.jsonl"
 

@@ -12,7 +12,7 @@ from labos.core.ids import LabId
 from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import Fenced, LogDamaged, Refused, StoreError, StoreUnavailable
-from labos.ports import EventStore, Head, LogQuery
+from labos.ports import EventStore, Head, LogQuery, Row
 from labos.testing.faults import Faults
 from labos.testing.loop import Process, context_of
 
@@ -146,6 +146,13 @@ class SimulatedStore:
 
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
         return iter(self.records[after:upto])
+
+    def replay(
+        self, after: int = 0, upto: int | None = None, *, before: bytes = b"", end: Head | None = None
+    ) -> Iterator[Row]:
+        for record in self.read(after, upto):
+            head = record.head
+            yield head.position, head.type, head.schema, head.recorded_at, record.payload
 
     def select(self, query: LogQuery) -> Iterator[Record]:
         return iter(self.records[query.after : query.upto])
