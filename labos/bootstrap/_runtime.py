@@ -93,12 +93,10 @@ class LabRuntime:
             self._worlds[workcell] = World(str(self.settings.world(workcell)))
         return self._worlds[workcell]
 
-    async def apply(
-        self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
-    ) -> None:
+    async def apply(self, cell: CompiledWorkcell, *, declare: bool | None = None) -> None:
         """Set up a workcell. By default, its stock is declared on a simulated bench, but not on a real
         one."""
-        await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
+        await self.service.apply(cell, "labos", declare=self.simulated if declare is None else declare)
 
     def start_nodes(self, *, detach: bool = False) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""

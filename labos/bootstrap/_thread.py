@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -44,8 +45,16 @@ class LabThread:
         self.settings = settings
         self.failure: LabosError | None = None
         self.failed = threading.Event()
-        self._workcells, self._nodes, self._detach = workcells, nodes, detach
-        self._declare, self._grace_s, self._standby = declare, grace_s, standby
+        self._open_lab = partial(
+            open_lab,
+            settings,
+            workcells=workcells,
+            nodes=nodes,
+            detach=detach,
+            declare=declare,
+            grace_s=grace_s,
+        )
+        self._standby = standby
         self.replaced = ""
         """The kernel that this one has replaced."""
         self._opened, self._ended = threading.Event(), threading.Event()
@@ -151,25 +160,15 @@ class LabThread:
                     return
                 try:
                     await self._serve(standby.follower)
-                except (
-                    Refused,
-                    StoreUnavailable,
-                ) as error:  # another standby was faster, or the database is away
+                except (Refused, StoreUnavailable) as error:
+                    # Another standby was faster, or the database is away.
                     if self._lab is not None:
                         raise
                     _log.info("not_taken_over", why=str(error))
 
     async def _serve(self, follower: Follower | None) -> None:
         assert self._end is not None
-        async with open_lab(
-            self.settings,
-            workcells=self._workcells,
-            nodes=self._nodes,
-            detach=self._detach,
-            declare=self._declare,
-            grace_s=self._grace_s,
-            follower=follower,
-        ) as lab:
+        async with self._open_lab(follower=follower) as lab:
             self._lab = lab
             self._opened.set()
             end = asyncio.ensure_future(self._end.wait())

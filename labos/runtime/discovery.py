@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import structlog
 
-from labos.core.actions import Actions
 from labos.core.decide.nodes import HearJournal
 from labos.core.decide.shorter import MANY_FOUND, FoundAction
 from labos.core.ids import ActionId, ModuleName
@@ -89,9 +88,7 @@ class Discovery:
             _log.warning("discovery_not_written", module=module, why=str(error))
 
     def _is_known(self, module: ModuleName, name: ActionId) -> bool:
-        return _is_in_memory(self._kernel.state.actions, module, name) or name in self._in_log.get(module, ())
-
-
-def _is_in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
-    known = name in actions.open or name in actions.settled or name in actions.discovered
-    return known or name in actions.ended.get(module, ())
+        actions = self._kernel.state.actions
+        if name in actions.open or name in actions.settled or name in actions.discovered:
+            return True
+        return name in actions.ended.get(module, ()) or name in self._in_log.get(module, ())

@@ -70,6 +70,9 @@ ENDS = (ActionSucceeded, ActionFailed, ActionRejected, ActionReconciled)
 SETTLED_S = 1.0
 """How long a start waits until its module is informed that a person's work there has ended."""
 
+LONGEST_PAUSE_S = 5.0
+"""The longest pause between questions to a node that does not answer."""
+
 LATE_QUESTIONS = 20
 """How often a node is asked about a result that came late."""
 
@@ -78,22 +81,15 @@ MOST_ATTEMPTS = 2**31
 
 
 class Dispatcher(KernelPart):
-    """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; ``pause_s`` is
-    the longest pause between questions to a node that does not answer; acknowledgements wait
-    ``acknowledge_s``, so that several are sent as one."""
+    """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; acknowledgements
+    wait ``acknowledge_s``, so that several are sent as one."""
 
     def __init__(
-        self,
-        kernel: Kernel,
-        bus: Bus,
-        *,
-        answer_s: float = 5.0,
-        pause_s: float = 5.0,
-        acknowledge_s: float = 1.0,
+        self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, acknowledge_s: float = 1.0
     ) -> None:
         super().__init__(kernel)
         self._bus = bus
-        self._answer_s, self._pause_s, self._acknowledge_s = answer_s, pause_s, acknowledge_s
+        self._answer_s, self._acknowledge_s = answer_s, acknowledge_s
         self._keys = Keys(kernel.lab)
         self.doubts = Doubts(kernel)
         self.refuse: Callable[[ModuleName, str], None] = self.doubts.ask
@@ -213,7 +209,7 @@ class Dispatcher(KernelPart):
                     reply = await self._ask_node(action.module, question)
                 except BusError:
                     await asyncio.sleep(pause)
-                    pause = min(pause * 2, self._pause_s)
+                    pause = min(pause * 2, LONGEST_PAUSE_S)
                     continue
                 self._take_answer(name, action.attempt, action.journal, reply)
                 return
@@ -357,7 +353,7 @@ class Dispatcher(KernelPart):
                     reply = await self._ask_node(module, question)
                 except BusError:
                     await asyncio.sleep(pause)
-                    pause = min(pause * 2, self._pause_s)
+                    pause = min(pause * 2, LONGEST_PAUSE_S)
                     continue
                 outcome = reply.outcome if reply.status == "finished" else None
                 if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
@@ -382,7 +378,7 @@ class Dispatcher(KernelPart):
             await self._kernel.check_lease()
         except StoreError as error:
             _log.warning("lease_not_known", module=module, why=str(error))
-            await asyncio.sleep(self._pause_s)
+            await asyncio.sleep(LONGEST_PAUSE_S)
             self._ask_about(module)  # unless another kernel has the lab: then this one has stopped
         else:
             self.refuse(module, why)

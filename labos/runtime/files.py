@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.clock import Clock, SystemClock
+from labos.clock import SystemClock
 from labos.core.canonical import digest
 from labos.errors import LabosError, Unreadable
 from labos.node.files import LARGEST, PIECE
@@ -38,9 +38,8 @@ _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | K
 class FileDesk:
     """Answers FileRequests; ``arriving`` is a folder for incomplete files."""
 
-    def __init__(self, blobs: BlobStore, arriving: Path, clock: Clock | None = None) -> None:
+    def __init__(self, blobs: BlobStore, arriving: Path) -> None:
         self._blobs, self._arriving = blobs, arriving
-        self._clock = clock or SystemClock()
         self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     async def on_request(self, payload: bytes) -> bytes:
@@ -104,7 +103,7 @@ class FileDesk:
                 status = path.stat()
                 found.append((status.st_mtime, status.st_size, path))
         found.sort(reverse=True)
-        size, stale = 0, self._clock.now_ns() / 1e9 - STALE_S
+        size, stale = 0, SystemClock().now_ns() / 1e9 - STALE_S
         for number, (touched, bytes_, path) in enumerate(found, 2):
             size += bytes_
             if touched < stale or number > MOST_ARRIVING or size > LARGEST_ARRIVING:

@@ -136,10 +136,8 @@ class KernelLog(ABC):
 
         def look(store: EventStore) -> list[tuple[int, int]]:
             found = store.select(LogQuery(types=(KernelStarted.TYPE,)))
-            mine = [record for record in found if record.head.type == KernelStarted.TYPE]
-            events = [decode(record.head.type, record.head.schema, record.payload) for record in mine]
-            pairs = zip(events, mine, strict=True)
-            return [(e.epoch, r.head.position) for e, r in pairs if isinstance(e, KernelStarted)]
+            pairs = [(decode(r.head.type, r.head.schema, r.payload), r.head.position) for r in found]
+            return [(event.epoch, at) for event, at in pairs if isinstance(event, KernelStarted)]
 
         return await self._writer.call(look)
 
@@ -149,9 +147,8 @@ class KernelLog(ABC):
             return False
 
         def look(store: EventStore) -> bool:
-            heads = [(r.head.type, r) for r in store.read(position - 1, position)]
-            requests = [r for kind, r in heads if kind == ActionRequested.TYPE]
-            events = [decode(r.head.type, r.head.schema, r.payload) for r in requests]
+            records = store.read(position - 1, position)
+            events = [decode(r.head.type, r.head.schema, r.payload) for r in records]
             return any(isinstance(e, ActionRequested) and e.action == action for e in events)
 
         return await self._writer.call(look)

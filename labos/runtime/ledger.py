@@ -93,7 +93,12 @@ def load(
     try:
         fold_rows(state, store.replay(before, before=hash_, end=end))
     except (msgspec.MsgspecError, TypeError, LookupError, ValueError, AttributeError) as error:
-        raise _make_contradiction_error(state.position + 1, error) from error
+        position = state.position + 1
+        raise LogDamaged(
+            f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
+            position=position,
+            remedy="Keep this database as it is; this is a fault of LabOS.",
+        ) from error
     if end is not None and state.lab.epoch > end.epoch:
         raise LogDamaged(
             f"The log holds a kernel of epoch {state.lab.epoch}, but its head row says {end.epoch}.",
@@ -101,14 +106,6 @@ def load(
             remedy="Keep this database as it is, and restore the log from a backup.",
         )
     return state, state.position - before
-
-
-def _make_contradiction_error(position: int, error: Exception) -> LogDamaged:
-    return LogDamaged(
-        f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
-        position=position,
-        remedy="Keep this database as it is; this is a fault of LabOS.",
-    )
 
 
 def fold(state: LabState, records: Iterable[Record]) -> None:

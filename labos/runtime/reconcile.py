@@ -21,7 +21,6 @@ from labos.core.effects import list_carried, list_places, name_hand
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
-from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
 from labos.runtime.ledger import Entry
 from labos.runtime.observing import ObservingPart, read_contents, resolve_station
@@ -105,10 +104,11 @@ class Reconciler(ObservingPart[InterventionId]):
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
 
     def _report_sight(self, module: ModuleName, station: StationName, what: Any) -> None:
-        command = read_sight(self._kernel.state, station, what, local(module))
-        if command is None:
-            return
-        answer = self._kernel.submit(command, str(module))
+        state = self._kernel.state
+        contents = read_contents(state, what) if station in state.bench.stations else None
+        if contents is None:
+            return  # its node cannot tell
+        answer = self._kernel.submit(ObserveStation(station, local(module), *contents), str(module))
         if isinstance(answer, Rejection):
             _log.info("sight_not_taken", module=module, station=station, why=answer.message)
         else:
@@ -152,10 +152,3 @@ class Reconciler(ObservingPart[InterventionId]):
             if name != first and observed & wanted:
                 found.append(name)
         return found
-
-
-def read_sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
-    """The command for a node's observation of a station: whether there is something, how much, or a barcode;
-    null if the node cannot tell."""
-    contents = read_contents(state, what) if station in state.bench.stations else None
-    return ObserveStation(station, by, *contents) if contents is not None else None

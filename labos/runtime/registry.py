@@ -176,7 +176,7 @@ class Registry(KernelPart):
         pause = GREET_S
         while self._living.list_instances(module):
             if module not in self._kernel.state.modules.by_name:
-                self._reject_stranger(module)
+                self._reject(module, f"No workcell of this lab has a module {local(module)}.")
                 return
             barred_s = self._barred.get(module, 0.0) - self._kernel.clock.monotonic()
             if barred_s > 0:
@@ -189,8 +189,7 @@ class Registry(KernelPart):
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, in turn.")
                 if skew := explain_skew(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
-                    self.rejected[module] = skew
-                    self._dispatcher.doubts.note("node_not_admitted", module, skew)
+                    self._reject(module, skew)
                     return
                 if about.epoch > self._kernel.epoch:
                     if self._is_second(module, about):
@@ -203,8 +202,7 @@ class Registry(KernelPart):
                 return
             except BusError as error:
                 if isinstance(error, Unreadable):
-                    self.rejected[module] = error.message
-                    self._dispatcher.doubts.note("node_unreadable", module, error.message)
+                    self._reject(module, error.message, "node_unreadable")
                 await asyncio.sleep(pause)
                 pause = min(pause * 2, 2.0)
 
@@ -215,9 +213,9 @@ class Registry(KernelPart):
             return False
         return known.instance in self._living.list_instances(module)
 
-    def _reject_stranger(self, module: ModuleName) -> None:
-        self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
-        self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
+    def _reject(self, module: ModuleName, why: str, what: str = "node_not_admitted") -> None:
+        self.rejected[module] = why
+        self._dispatcher.doubts.note(what, module, why)
 
     async def _find_position_beyond(self, about: AboutReport) -> int:
         """The position up to which a node was acknowledged, if the log is shorter than that."""

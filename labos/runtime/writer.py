@@ -31,6 +31,9 @@ HOLD_S = 0.02
 SILENCE_S = 10.0
 """A request to a database without an answer for so long is abandoned, unless another limit is set."""
 
+LARGEST_BATCH = 2000
+"""The number of records from which a commit takes no further batch."""
+
 LEAVE_S = 5.0
 """How long a thread may take to end after its pending call was interrupted."""
 
@@ -125,11 +128,8 @@ class ThreadWriter:
     ``on_commit`` is called with the duration of each commit, in seconds.
     """
 
-    def __init__(
-        self, store: AnsweringStore, *, largest_batch: int = 2000, silence_s: float = SILENCE_S
-    ) -> None:
+    def __init__(self, store: AnsweringStore, *, silence_s: float = SILENCE_S) -> None:
         self._store = store
-        self._largest = largest_batch
         self._silence_s = silence_s
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._loop = asyncio.get_running_loop()
@@ -225,7 +225,7 @@ class ThreadWriter:
     def _write(self, first: _Batch) -> _Job:
         """Commit a batch together with those that queued up behind it; returns the next job."""
         records, taken = list(first.records), 1
-        while len(records) < self._largest:
+        while len(records) < LARGEST_BATCH:
             try:
                 job = self._jobs.get_nowait()
             except queue.Empty:

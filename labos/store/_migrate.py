@@ -115,13 +115,6 @@ def refuse_newer(status: DatabaseStatus) -> None:
         )
 
 
-@contextmanager
-def migration_connection(url: str) -> Iterator[Connection]:
-    """A connection in one exclusive transaction, for migrations."""
-    with _open_exclusive(parse_url(url)) as connection:
-        yield connection
-
-
 def _status(url: URL) -> DatabaseStatus:
     name = display_name(url)
     if url.get_backend_name() == "sqlite" and not find_sqlite_path(url).is_file():
@@ -177,7 +170,7 @@ def _upgrade(url: URL) -> None:
     from alembic import command
 
     config = alembic_config()
-    with _open_exclusive(url) as connection:
+    with migration_connection(url) as connection:
         if connection.dialect.name == "postgresql":
             encoding = connection.execute(text("SHOW server_encoding")).scalar_one()
             if encoding != "UTF8":
@@ -194,7 +187,8 @@ def _upgrade(url: URL) -> None:
 
 
 @contextmanager
-def _open_exclusive(url: URL) -> Iterator[Connection]:
+def migration_connection(url: URL) -> Iterator[Connection]:
+    """A connection in one exclusive transaction, for migrations."""
     from labos.store._open import use_backend
 
     with use_backend(url) as backend, backend.writing.connect() as connection, connection.begin():

@@ -34,9 +34,8 @@ class _Line(msgspec.Struct, frozen=True):
 _decoder = msgspec.json.Decoder(_Line)
 
 
-def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
-    """Write the words of events up to a position; returns the number of texts."""
-    number = 0
+def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> None:
+    """Write the words of events up to a position."""
     lines = []
     for each in words:
         if each.position > upto:
@@ -44,10 +43,8 @@ def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
         kept = each.words
         line = _Line(kept.reference, each.position, kept.salt.hex(), kept.text, each.erased_at)
         lines.append(msgspec.json.encode(line) + b"\n")
-        number += not kept.is_erased
     if lines or (folder / WORDS).exists():
         replace_file(folder / WORDS, b"".join(lines))
-    return number
 
 
 def read_words_copy(folder: Path) -> Iterator[StoredWords]:

@@ -155,7 +155,8 @@ class SimulatedStore:
             yield head.position, head.type, head.schema, head.recorded_at, record.payload
 
     def select(self, query: LogQuery) -> Iterator[Record]:
-        return iter(self.records[query.after : query.upto])
+        records = self.records[query.after : query.upto]
+        return (record for record in records if not query.types or record.head.type in query.types)
 
     def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
         return {name: self.words[name] for name in references if name in self.words}
