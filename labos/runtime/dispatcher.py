@@ -288,15 +288,9 @@ class Dispatcher(KernelPart):
 
     def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
         ended_ns = find_device_time(action, outcome.ended_ns, self._kernel.clock.now_ns())
-        fields = (
-            outcome.succeeded,
-            outcome.effects,
-            outcome.result,
-            outcome.error,
-            ended_ns,
-            outcome.collided,
-        )
-        self._kernel.submit(FinishAction(action.id, attempt, *fields, journal), str(action.module))
+        ids = {"action": action.id, "attempt": attempt, "journal": journal}
+        report = make_from(FinishAction, outcome, **ids, ended_ns=ended_ns)
+        self._kernel.submit(report, str(action.module))
 
     # -- publications ------------------------------------------------------------------------
 
@@ -357,8 +351,7 @@ class Dispatcher(KernelPart):
                     continue
                 outcome = reply.outcome if reply.status == "finished" else None
                 if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
-                    fields = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
-                    report = FinishAction(name, reply.attempt, *fields, collided=outcome.collided)
+                    report = make_from(FinishAction, outcome, action=name, attempt=reply.attempt, ended_ns=0)
                     self._kernel.submit(report, str(module))
                 return
         except LabosError as error:

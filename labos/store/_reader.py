@@ -11,6 +11,7 @@ from sqlalchemy import Integer, literal_column, select, true
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import GENESIS, Envelope, Record, decode_folded
+from labos.core.structs import make_from
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.ports import Head, LogQuery, Row, StoredSnapshot, StoredWords
@@ -245,9 +246,7 @@ class LogReader:
             fault = "its seal was made with another key, or its content was changed"
         else:
             fault = "it has no seal"
-        return StoredSnapshot(
-            row.position, row.hash, row.fingerprint, row.data, genuine, tampered, fault, row.on_log
-        )
+        return make_from(StoredSnapshot, row, genuine=genuine, tampered=tampered, fault=fault)
 
     def flaw(self) -> str:
         """The fault that the database itself finds in its tables and indexes, in its own words; empty if it

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -19,7 +18,7 @@ import msgspec
 
 from labos.core.envelope import GENESIS, Envelope, Record, find_damage
 from labos.errors import BadInput, LogDamaged
-from labos.private import create_file
+from labos.private import replacing
 
 _GZIP = b"\x1f\x8b"
 _RESTORE = "Use another copy of the file; keep this one."
@@ -53,21 +52,13 @@ def decode_record(line: bytes) -> Record:
 
 def write_segment(path: Path, records: Iterable[Record]) -> str:
     """Write records to a file, which is synced on return and complete or absent; returns its SHA-256."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with create_file(beside) as file:
-            if path.name.endswith(".gz"):
-                # The file contains no time and no name: the same records give the same file.
-                with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
-                    _write_lines(packed.write, records)
-            else:
-                _write_lines(file.write, records)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+    with replacing(path) as file:
+        if path.name.endswith(".gz"):
+            # The file contains no time and no name: the same records give the same file.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
+                _write_lines(packed.write, records)
+        else:
+            _write_lines(file.write, records)
     return digest_file(path)
 
 
