@@ -23,7 +23,7 @@ from labos.errors import Fenced, LabosError, StoreError, StoreUnavailable
 from labos.ports import EventStore, LogQuery
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
-from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error
+from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error, settle
 
 LONGEST_PAUSE_S = 5.0
 """The pause between two attempts to reach the store again."""
@@ -248,9 +248,7 @@ class KernelLog(ABC):
             if not self._notify(listener, partial(listener.on_committed, entries)):
                 self._notify(listener, listener.on_reopened)  # it looks at everything again
         while self._waiting and self._waiting[0][0] <= position:
-            future = self._waiting.popleft()[1]
-            if not future.done():
-                future.set_result(None)
+            settle(self._waiting.popleft()[1], None)
         self._keep_snapshot(position)
 
     def _on_failure(self, error: StoreError) -> None:
@@ -267,8 +265,7 @@ class KernelLog(ABC):
         failure = make_in_doubt_error(error) if type(error) is StoreUnavailable else error
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
-            if not future.done():
-                future.set_exception(failure)
+            settle(future, None, failure)
         if self._closing:
             return
         if isinstance(error, Fenced):

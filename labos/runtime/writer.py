@@ -195,7 +195,7 @@ class ThreadWriter:
             "before you repeat a request.",
         )
         for future in self._calls:
-            _fail(future, error)
+            settle(future, None, error)
         self._report_failure(error, self._turn)
         self._store.hang_up()
 
@@ -259,14 +259,13 @@ class ThreadWriter:
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
             return  # no caller waits for it any more
+        result, failure = None, None
         try:
             result = function(self._store)
         except Exception as error:
-            if future is not None:
-                self._call_in_loop(_fail, future, error)
-        else:
-            if future is not None:
-                self._call_in_loop(_answer, future, result)
+            failure = error
+        if future is not None:
+            self._call_in_loop(settle, future, result, failure)
 
     def _call_in_loop(self, function: Callable[..., None], *args: Any) -> None:
         try:
@@ -275,13 +274,13 @@ class ThreadWriter:
             pass
 
 
-def _answer(future: asyncio.Future[Any], result: Any) -> None:
-    if not future.done():
+def settle(future: asyncio.Future[Any], result: Any, error: BaseException | None = None) -> None:
+    """Give a result or an error to a caller, if it still waits."""
+    if future.done():
+        return
+    if error is None:
         future.set_result(result)
-
-
-def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
-    if not future.done():
+    else:
         future.set_exception(error)
 
 
