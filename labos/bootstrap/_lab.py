@@ -23,8 +23,8 @@ from labos.bootstrap._gate import (
     follow_marks,
     give_first_password,
     lay_home_key,
+    make_service,
     open_gate,
-    start_viewers,
 )
 from labos.bootstrap._hands import SimulatedHands
 from labos.bootstrap._metrics import LabMetrics
@@ -41,10 +41,7 @@ from labos.core.lab import WHOLE_LAB
 from labos.core.shorter import BenchCompared
 from labos.errors import BadInput, Fenced, StoreError
 from labos.http.campaign_rows import CampaignRows
-from labos.http.feed import Feed
-from labos.http.finding import Finder
 from labos.http.server import HttpServer
-from labos.http.service import LabService
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.private import make_folder
 from labos.runtime.feeder import Feeder
@@ -134,10 +131,7 @@ async def open_lab(
         await open_lab_bus(
             settings, lab, stack, security, math.inf if follower is not None else BUS_PATIENCE_S
         )
-        feed = Feed()
-        kernel.listeners.append(feed)
-        lab.service = LabService(lab, feed, start_viewers(settings))
-        lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
+        lab.service = make_service(lab, settings)
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(
             open_gate(

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
-from labos.core.erasure import WordsErased, list_references_in_words
-from labos.core.registry import decode
+from labos.core.erasure import list_erased, list_references_in_words
 from labos.ports import Log, StoredWords
 from labos.services.verification import VerifiedPart
 
@@ -60,10 +59,7 @@ def _count_references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
     named: dict[str, int] = {}
     erased: dict[str, int] = {}
     for position, kind, schema, _, payload in log.replay():
-        if kind == WordsErased.TYPE:
-            event = decode(kind, schema, payload)
-            assert isinstance(event, WordsErased)
-            erased.update((reference, position) for reference in event.references())
+        erased.update((reference, position) for reference in list_erased(kind, schema, payload))
         for reference in list_references_in_words(kind, payload):
             named.setdefault(reference, position)
     return named, erased

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from sqlalchemy import Connection, or_, select
 
 from labos.core.envelope import Record
-from labos.core.erasure import WordsErased
-from labos.core.registry import decode
+from labos.core.erasure import list_erased
 from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
 from labos.ports import Row, StoredWords
@@ -32,16 +31,11 @@ def make_changes(records: Sequence[Record]) -> WordChanges:
         for kept in record.words
     ]
     erased = [
-        row for record in records if record.head.type == WordsErased.TYPE for row in _list_erased(record)
+        (b"", record.head.position, reference)
+        for record in records
+        for reference in list_erased(record.head.type, record.head.schema, record.payload)
     ]
     return WordChanges(added, erased) if added or erased else NOTHING
-
-
-def _list_erased(record: Record) -> Iterator[Row]:
-    found = decode(record.head.type, record.head.schema, record.payload)
-    if isinstance(found, WordsErased):
-        for reference in found.references():
-            yield b"", record.head.position, reference
 
 
 def read_words(connection: Connection, references: Iterable[str]) -> dict[str, Kept]:

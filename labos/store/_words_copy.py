@@ -13,8 +13,7 @@ from pathlib import Path
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.erasure import WordsErased, list_references_in_words
-from labos.core.registry import decode
+from labos.core.erasure import list_erased, list_references_in_words
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.ports import StoredWords
@@ -74,15 +73,12 @@ class WordsExpected:
 
     def take(self, record: Record) -> None:
         head = record.head
-        if head.type == WordsErased.TYPE:
-            event = decode(head.type, head.schema, record.payload)
-            assert isinstance(event, WordsErased)
-            for reference in event.references():
-                self._named.pop(reference, None)
-                if self._known.get(reference) is False:
-                    raise _report_damage(
-                        head.position, f"{WORDS} contains words that are erased in the backup's log"
-                    )
+        for reference in list_erased(head.type, head.schema, record.payload):
+            self._named.pop(reference, None)
+            if self._known.get(reference) is False:
+                raise _report_damage(
+                    head.position, f"{WORDS} contains words that are erased in the backup's log"
+                )
         for reference in list_references_in_words(head.type, record.payload):
             self._named.setdefault(reference, head.position)
 
