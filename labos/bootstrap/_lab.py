@@ -121,7 +121,9 @@ async def open_lab(
         _check_pace(settings, kernel)
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
-        _hear_journals(settings, store, kernel)
+        # Before anything can start: the journals may have actions that the log does not have.
+        for module, found, beyond in find_untold(store, settings.journals):
+            kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
         # The next start does not ask about the same loss again.
         kernel.listeners.append(OnEvents((BenchCompared,), lambda _: store.accept_end()))
         await kernel.begin_planning()
@@ -268,13 +270,6 @@ def _is_simulated(settings: Settings) -> bool:
     return wanted
 
 
-def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
-    """Read the journals in the lab's folder before anything can start: they may have actions that the log
-    does not have."""
-    for module, found, beyond in find_untold(store, settings.journals):
-        kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
-
-
 def _check_pace(settings: Settings, kernel: Kernel) -> None:
     pace = kernel.state.lab.pace
     if settings.speed is not None and settings.speed != pace:
@@ -289,7 +284,7 @@ def _make_info(settings: Settings, lab: LabRuntime) -> KernelInfo:
     remember_ports(settings.home, Ports(lab.http.port, own_bus))
     return KernelInfo(
         pid=os.getpid(),
-        url=lab.http_url,
+        url=lab.http.url,
         bus=lab.bus_endpoint,
         lab=lab.kernel.lab,
         database=settings.database,

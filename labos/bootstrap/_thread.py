@@ -67,7 +67,7 @@ class LabThread:
 
     @property
     def url(self) -> str:
-        return self.runtime.http_url
+        return self.runtime.http.url
 
     @property
     def runtime(self) -> LabRuntime:

@@ -39,7 +39,6 @@ from labos.core.effects import Carrying, Needs
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.modules import ModuleStatus
-from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.texts import LONGEST_NAME, cut
 from labos.core.topics import PlannedWork
@@ -143,7 +142,6 @@ class Dispatcher(KernelPart):
         self._by_person = {question.subject for question in asked if question.kind == PlannedWork.KIND}
         for action in self._kernel.state.actions.open.values():
             self._open_at.setdefault(action.module, {})[action.id] = action.position
-        for action in self._kernel.state.actions.open.values():
             self.find_out(action.id)
 
     # -- to nodes ----------------------------------------------------------------------------
@@ -192,6 +190,12 @@ class Dispatcher(KernelPart):
         if not self._is_being_started(action):
             self._questions.spawn_once(action, partial(self._find_out, action))
 
+    def find_out_about(self, module: ModuleName) -> None:
+        """Ask the node of a module for the outcome of everything that is open there. Raises StoreError."""
+        for action in self._kernel.state.actions.open.values():
+            if action.module == module:
+                self.find_out(action.id)
+
     async def _find_out(self, name: ActionId) -> None:
         pause = 0.2
         try:
@@ -199,7 +203,7 @@ class Dispatcher(KernelPart):
                 action = self._open(name)
                 if action is None or action.looks:
                     return
-                if self._state().modules.by_name[action.module].status == ModuleStatus.GONE:
+                if self._kernel.state.modules.by_name[action.module].status == ModuleStatus.GONE:
                     return  # asked again when the node is back
                 question = Ask(
                     self._kernel.lab, self._kernel.epoch, name, action.attempt, action.position, void=True
@@ -310,7 +314,7 @@ class Dispatcher(KernelPart):
         name = ActionId(result.action)
         action = self._open(name)
         if action is None:
-            settled = self._state().actions.settled.get(name)
+            settled = self._kernel.state.actions.settled.get(name)
             if settled is not None and settled.module == module and 0 < result.attempt < MOST_ATTEMPTS:
                 self._ask_late(module, name, result.attempt)
             return
@@ -339,8 +343,8 @@ class Dispatcher(KernelPart):
         pause = 0.2
         try:
             for _ in range(LATE_QUESTIONS):
-                known = self._state().modules.by_name.get(module)
-                if known is None or name not in self._state().actions.settled:
+                known = self._kernel.state.modules.by_name.get(module)
+                if known is None or name not in self._kernel.state.actions.settled:
                     return
                 try:
                     question = Ask(self._kernel.lab, self._kernel.epoch, name, attempt, 1)
@@ -372,22 +376,12 @@ class Dispatcher(KernelPart):
         except StoreError as error:
             _log.warning("lease_not_known", module=module, why=str(error))
             await asyncio.sleep(LONGEST_PAUSE_S)
-            self._ask_about(module)  # unless another kernel has the lab: then this one has stopped
+            with contextlib.suppress(StoreError):  # asked again when the log is open
+                self.find_out_about(module)  # unless another kernel has the lab: then this one has stopped
         else:
             self.refuse(module, why)
 
-    def _ask_about(self, module: ModuleName) -> None:
-        try:
-            mine = [action.id for action in self._state().actions.open.values() if action.module == module]
-        except StoreError:
-            return  # the question is repeated when the log is open again
-        for name in mine:
-            self.find_out(name)
-
     # -- internal ----------------------------------------------------------------------------
-
-    def _state(self) -> LabState:
-        return self._kernel.state
 
     def _is_being_started(self, name: ActionId) -> bool:
         """Whether the module's present node process has not yet answered the request."""
@@ -399,12 +393,12 @@ class Dispatcher(KernelPart):
     def _find_instance(self, module: ModuleName) -> str:
         """The present process of the module's node; empty while the log is read again."""
         try:
-            return self._state().modules.by_name[module].instance
+            return self._kernel.state.modules.by_name[module].instance
         except StoreError:
             return ""
 
     def _open(self, name: ActionId) -> Action | None:
-        return self._state().actions.open.get(name)
+        return self._kernel.state.actions.open.get(name)
 
 
 def make_start(event: ActionRequested, lab: str, position: int) -> Start:

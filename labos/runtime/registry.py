@@ -274,15 +274,10 @@ class Registry(KernelPart):
             self._kernel.submit(HearJournal(module, tuple(strange)), str(module))
         if beyond:
             self._tasks.spawn(self._rewind(module))
-        self._find_out_about(module)
+        self._dispatcher.find_out_about(module)
         now = self._kernel.state.modules.by_name.get(module)
         if now is not None and now.instance == report.instance:
             self._compare_report(module, report)
-
-    def _find_out_about(self, module: ModuleName) -> None:
-        for action in list(self._kernel.state.actions.open.values()):
-            if action.module == module:
-                self._dispatcher.find_out(action.id)
 
     async def _rewind(self, module: ModuleName) -> None:
         """Let a node accept requests again at positions that were already acknowledged. If this message is
