@@ -39,6 +39,7 @@ from labos.core.decide.shorter import ReportShorterLog
 from labos.core.ids import local
 from labos.core.lab import WHOLE_LAB
 from labos.core.shorter import BenchCompared
+from labos.core.structs import make_from
 from labos.errors import BadInput, Fenced, StoreError
 from labos.http.campaign_rows import CampaignRows
 from labos.http.server import HttpServer
@@ -238,11 +239,11 @@ async def _open_kernel(
 ) -> tuple[Kernel, ThreadWriter]:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
     after, within_s = settings.failures_borne
-    chosen = KernelSettings(
-        name=settings.name,
+    chosen = make_from(
+        KernelSettings,
+        settings,
         pace=settings.speed or 1.0,
         owner=owner,
-        reopen_s=settings.reopen_s,
         quarantine_after=after,
         quarantine_within_s=within_s,
     )

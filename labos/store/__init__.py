@@ -16,13 +16,13 @@ from labos.store._lease import (
     find_database_file,
     find_lease_holder,
     find_silent_holder,
+    is_replica,
     measure_database,
     show_url,
 )
 from labos.store._migrate import (
     DatabaseStatus,
     find_migrations_folder,
-    is_replica,
     migrate,
     read_database_status,
 )

@@ -47,6 +47,15 @@ def measure_database(url: str) -> int:
         return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
 
 
+def is_replica(url: str) -> bool:
+    """Whether a database is a replica of another one, so that it cannot be written. Raises
+    StoreUnavailable."""
+    if find_database_file(url) is not None:
+        return False
+    with use_backend(parse_url(url)) as backend, backend.reading.connect() as connection:
+        return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
+
+
 def find_database_file(url: str) -> Path | None:
     """The file of a SQLite database; None for one on a server. Raises BadInput."""
     parsed = parse_url(url)

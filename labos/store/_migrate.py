@@ -43,22 +43,6 @@ class DatabaseStatus(msgspec.Struct, frozen=True):
     expected: str = REVISION
 
 
-def is_replica(url: str) -> bool:
-    """Whether a database is a replica of another one, so that it cannot be written. Raises
-    StoreUnavailable."""
-    parsed = parse_url(url)
-    if parsed.get_backend_name() == "sqlite":
-        return False
-    from labos.store._postgres import make_small_engine
-
-    engine = make_small_engine(parsed)
-    try:
-        with TranslatedErrors(parsed), engine.connect() as connection:
-            return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
-    finally:
-        engine.dispose()
-
-
 def find_migrations_folder() -> Path:
     """The folder of the migrations: in the installed package, otherwise in the checkout."""
     here = Path(__file__).resolve()
