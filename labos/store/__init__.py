@@ -1,17 +1,16 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
-from labos.private import create_file, make_folder, tighten
 from labos.store._accounts import SqlAccounts, open_accounts
 from labos.store._accounts_copy import AccountsCopy, copy_accounts, put_accounts_back, read_accounts_copy
 from labos.store._archive import move_old_segments
 from labos.store._backend import Holder
-from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
+from labos.store._backup import backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
-from labos.store._detached import Detached, verify_detached
-from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
+from labos.store._detached import verify_detached
+from labos.store._erasures import ERASURES, read_erasures
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
-from labos.store._home import HomeFiles, KnownEnd, forget_end
+from labos.store._home import forget_end
 from labos.store._lease import (
     find_database_file,
     find_lease_holder,
@@ -38,27 +37,19 @@ from labos.store._words_copy import read_words_copy
 __all__ = [
     "ERASURES",
     "AccountsCopy",
-    "Backup",
     "Blobs",
     "Damage",
     "DatabaseStatus",
-    "Detached",
-    "Erased",
     "FolderBlobs",
     "Holder",
-    "HomeFiles",
-    "KnownEnd",
     "ObjectBlobs",
     "Progress",
-    "Segment",
     "SqlAccounts",
     "SqlEventStore",
     "TranslatedErrors",
-    "add_erasures",
     "backup",
     "check_chain",
     "copy_accounts",
-    "create_file",
     "display_name",
     "encode_record",
     "find_database_file",
@@ -72,7 +63,6 @@ __all__ = [
     "is_replica",
     "key_of",
     "leap_epoch",
-    "make_folder",
     "measure_database",
     "migrate",
     "move_old_segments",
@@ -93,7 +83,6 @@ __all__ = [
     "restore_log",
     "scrub_words",
     "show_url",
-    "tighten",
     "verify_backup",
     "verify_detached",
     "write_segment",
