@@ -117,7 +117,7 @@ async def open_lab(
         expect_users(settings, kernel)
         lab.metrics = LabMetrics(lab, writer)
         lab.metrics.traces = await stack.enter_async_context(send_traces(settings, kernel))
-        stack.push_async_callback(lab.metrics.close)
+        stack.push_async_callback(lab.metrics.unattended.close)
         lab.blobs.tidy()
         _check_pace(settings, kernel)
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
@@ -164,7 +164,7 @@ async def open_lab(
             lab.start_nodes(detach=detach)
         lab.log_check = _check_log(settings, kernel)
         lab.log_check.start()
-        lab.metrics.start()
+        lab.metrics.unattended.start()
         stack.push_async_callback(lab.log_check.close)
         try:
             yield lab

@@ -34,13 +34,6 @@ class LabMetrics:
         writer.on_commit = self.all.of_events.commit_s.observe
         kernel.listeners += [self.all.of_events, self.unattended]
 
-    def start(self) -> None:
-        """Begin to read the past events."""
-        self.unattended.start()
-
-    async def close(self) -> None:
-        await self.unattended.close()
-
     def text(self) -> str:
         """All metrics now, in Prometheus' text format."""
         kernel, found = self._lab.kernel, self.all

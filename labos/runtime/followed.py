@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.decide import Command, Rejection, decide
-from labos.core.envelope import GENESIS, find_damage
+from labos.core.envelope import GENESIS, check_chain
 from labos.core.fold import evolve
 from labos.core.ids import LabId
 from labos.core.registry import Event, decode
@@ -216,13 +216,11 @@ class FollowedKernel(FoldedLab):
 
     def _read(self, after: int, before: bytes, head: Head) -> list[Entry]:
         """A page of new records, each checked against the one before. Raises LogDamaged."""
-        entries = []
-        for record in self._store.read(after, min(head.position, after + PAGE)):
-            if fault := find_damage(before, record):
-                at = record.head.position
-                raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
-            before = record.hash
-            entries.append(Entry(record, decode(record.head.type, record.head.schema, record.payload)))
+        records = self._store.read(after, min(head.position, after + PAGE))
+        entries = [
+            Entry(record, decode(record.head.type, record.head.schema, record.payload))
+            for record in check_chain(records, before, after, "See labos verify.")
+        ]
         if not entries:
             raise StoreUnavailable("The head of the log is after its last record.")
         return entries

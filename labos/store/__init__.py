@@ -29,7 +29,7 @@ from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
-from labos.store._segment import check_chain, encode_record, read_segment, write_segment
+from labos.store._segment import encode_record, read_segment, write_segment
 from labos.store._url import display_name, find_sqlite_path, parse_url
 from labos.store._verify import Damage, Progress, find_first_damage
 from labos.store._words_copy import read_words_copy
@@ -48,7 +48,6 @@ __all__ = [
     "SqlEventStore",
     "TranslatedErrors",
     "backup",
-    "check_chain",
     "copy_accounts",
     "display_name",
     "encode_record",

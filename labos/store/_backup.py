@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Record
+from labos.core.envelope import GENESIS, Record, check_chain
 from labos.core.fold import evolve, fold_rows
 from labos.core.registry import decode
 from labos.core.seals import add_seal, check_seal
@@ -26,7 +26,7 @@ from labos.private import make_folder, remove_leftovers, replace_file, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
-from labos.store._segment import check_chain, digest_file, read_segment, write_segment
+from labos.store._segment import digest_file, read_segment, write_segment
 from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1

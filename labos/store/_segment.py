@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Envelope, Record, find_damage
+from labos.core.envelope import Envelope, Record
 from labos.errors import BadInput, LogDamaged
 from labos.private import replacing
 
@@ -100,25 +100,6 @@ def _open_segment(path: Path) -> BinaryIO | gzip.GzipFile:
     with path.open("rb") as file:
         packed = file.read(2) == _GZIP
     return gzip.open(path, "rb") if packed else path.open("rb")
-
-
-def check_chain(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
-    """The same records, as long as each follows the one before in the chain. Raises LogDamaged."""
-    for record in records:
-        if record.head.position != after + 1:
-            raise _report_break(after + 1, "the record is missing")
-        if fault := find_damage(before, record):
-            raise _report_break(after + 1, fault)
-        before, after = record.hash, after + 1
-        yield record
-
-
-def _report_break(position: int, fault: str) -> LogDamaged:
-    return LogDamaged(
-        f"Position {position}: {fault}.",
-        position=position,
-        remedy="The records before it can be trusted.",
-    )
 
 
 def digest_file(path: Path) -> str:
