@@ -38,16 +38,12 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
     BadInput."""
     if not settings.is_secure:
         return None
-
-    def run_here() -> list[str]:
-        return list(lab.supervised.nodes) if lab.supervised is not None else []
-
     lab.guard = Guard(
         PartyIdentity("kernel", lab=lab.kernel.lab),
         settings,
         runs_bus=not settings.bus,
         own=settings.certificate,
-        modules=run_here,
+        modules=lambda: list(lab.supervised.nodes) if lab.supervised is not None else [],
         note_unheard=lab.note_unheard,
     )
     return await asyncio.to_thread(lab.guard.prepare, modules)

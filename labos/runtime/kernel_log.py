@@ -91,6 +91,7 @@ class KernelLog(ABC):
         self._waiting: deque[tuple[int, asyncio.Future[None]]] = deque()
         self._tasks: list[asyncio.Task[None]] = []
         self._snapshot_at = 0
+        self._saving: asyncio.Task[None] | None = None  # asyncio itself keeps no reference
         self._picture: tuple[int, bytes, str, bytes] | None = None
         self._closing = False
         self._to_standby = False
@@ -361,13 +362,16 @@ class KernelLog(ABC):
             return
         if self._picture is not None and position >= self._picture[0]:
             picture, self._picture = self._picture, None
-            task = asyncio.get_running_loop().create_task(
-                self._writer.call(lambda store: store.save_snapshot(*picture))
-            )
-            task.add_done_callback(_swallow_store_error)
+            self._saving = asyncio.get_running_loop().create_task(self._save_snapshot(picture))
         if ledger.head.position - self._snapshot_at >= self.settings.snapshot_every:
             self._snapshot_at = ledger.head.position
             self._picture = snapshot(ledger.state, ledger.head)
+
+    async def _save_snapshot(self, picture: tuple[int, bytes, str, bytes]) -> None:
+        try:
+            await self._writer.call(lambda store: store.save_snapshot(*picture))
+        except StoreError as error:
+            _log.warning("snapshot_not_saved", error=str(error))
 
     async def _keep_lease(self) -> None:
         lease = self.settings.lease_s
@@ -393,11 +397,6 @@ class KernelLog(ABC):
                 raise StoreUnavailable("The log is still being read.", remedy="Try again in a moment.")
             raise StoreUnavailable(why.message, remedy=why.remedy)
         return self._ledger
-
-
-def _swallow_store_error(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and isinstance(task.exception(), StoreError):
-        _log.warning("snapshot_not_saved", error=str(task.exception()))
 
 
 def _make_store_error(error: Exception) -> StoreError:
