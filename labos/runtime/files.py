@@ -11,6 +11,7 @@ import contextlib
 import os
 import re
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -81,7 +82,7 @@ class FileDesk:
         path = self._arriving / request.digest
         if not path.exists():
             self._make_room()
-        with open(path, "ab", opener=_open_private) as file:
+        with open(path, "ab", opener=partial(os.open, mode=0o600)) as file:
             if request.data and file.tell() == request.offset:
                 file.write(request.data[: request.size - request.offset])
             received = file.tell()
@@ -108,7 +109,3 @@ class FileDesk:
             size += bytes_
             if touched < stale or number > MOST_ARRIVING or size > LARGEST_ARRIVING:
                 path.unlink(missing_ok=True)
-
-
-def _open_private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)

@@ -106,16 +106,9 @@ class SqliteBackend(Backend):
         return self._move_into_the_file()
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
-        pooled = self.reading.raw_connection()
-        try:
-            cursor = pooled.cursor()
-            try:
-                cursor.execute(statement, parameters)
-                return cursor.fetchall()  # type: ignore[return-value]
-            finally:
-                cursor.close()
-        finally:
-            pooled.close()
+        with closing(self.reading.raw_connection()) as pooled, closing(pooled.cursor()) as cursor:
+            cursor.execute(statement, parameters)
+            return cursor.fetchall()  # type: ignore[return-value]
 
     def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
         return func.instr(column, literal(part)) > 0
