@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from types import TracebackType
 from typing import Any
@@ -131,12 +132,10 @@ class LabThread:
                 if supervisor is not None:
                     self._call_in_loop(supervisor.hurry)
 
-    def _call_in_loop(self, function: object) -> None:
-        if self._loop is not None and callable(function):
-            try:
+    def _call_in_loop(self, function: Callable[[], object]) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(function)
-            except RuntimeError:
-                pass  # it has ended by itself
 
     def _main(self) -> None:
         try:

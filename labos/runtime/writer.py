@@ -14,6 +14,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Protocol, TypeVar
 
 import msgspec
@@ -268,10 +269,8 @@ class ThreadWriter:
             self._call_in_loop(settle, future, result, failure)
 
     def _call_in_loop(self, function: Callable[..., None], *args: Any) -> None:
-        try:
+        with suppress(RuntimeError):  # the loop is closed: no caller waits any more
             self._loop.call_soon_threadsafe(function, *args)
-        except RuntimeError:  # the loop is closed: no caller waits any more
-            pass
 
 
 def settle(future: asyncio.Future[Any], result: Any, error: BaseException | None = None) -> None:

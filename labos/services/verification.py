@@ -95,7 +95,7 @@ def check_end(store: VerifiableStore) -> VerifiedPart:
     known, position = store.known_position, store.head().position
     if not known:
         return VerifiedPart("end", 0, "There is no record of how long the log once was.")
-    if known and not position:
+    if not position:
         fault = (
             f"The log is empty, but the log of this lab's folder once ended at {known}: it is lost, "
             "or this is the wrong database."

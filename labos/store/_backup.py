@@ -102,11 +102,13 @@ def backup(
     if head.position > done:
         before = bytes.fromhex(known.hash) if known else GENESIS
         name = f"log-{done + 1:09d}-{head.position:09d}.jsonl.gz"
-        last, digest = _write(folder / name, check_chain(store.read(done, head.position), before, done))
-        if last.head.position != head.position:
+        records = check_chain(store.read(done, head.position), before, done)
+        digest, last = write_segment(folder / name, records)
+        if last is None or last.head.position != head.position:
+            ended = last.head.position if last is not None else done
             raise LogDamaged(
-                f"The log ends at {last.head.position}, but its head says {head.position}.",
-                position=last.head.position + 1,
+                f"The log ends at {ended}, but its head says {head.position}.",
+                position=ended + 1,
                 remedy="Find the first bad position with: labos verify",
             )
         segment = Segment(
@@ -272,18 +274,6 @@ def _refuse_other(known: Backup, store: SqlEventStore, lab: str, folder: Path) -
             "before it: the log was cut, rewritten, or restored from an older backup.",
             remedy="Keep that folder, and name a new one.",
         )
-
-
-def _write(path: Path, records: Iterator[Record]) -> tuple[Record, str]:
-    last: list[Record] = []
-
-    def keep_last() -> Iterator[Record]:
-        for record in records:
-            last[:] = [record]
-            yield record
-
-    digest = write_segment(path, keep_last())
-    return last[0], digest
 
 
 def _fold_records(store: SqlEventStore, position: int) -> LabState:

@@ -50,21 +50,24 @@ def decode_record(line: bytes) -> Record:
     return Record(_envelope.decode(envelope), envelope, bytes(found.payload), bytes.fromhex(found.hash))
 
 
-def write_segment(path: Path, records: Iterable[Record]) -> str:
-    """Write records to a file, which is synced on return and complete or absent; returns its SHA-256."""
+def write_segment(path: Path, records: Iterable[Record]) -> tuple[str, Record | None]:
+    """Write records to a file, which is synced on return and complete or absent; returns its SHA-256, and the
+    last record."""
     with replacing(path) as file:
         if path.name.endswith(".gz"):
             # The file contains no time and no name: the same records give the same file.
             with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
-                _write_lines(packed.write, records)
+                last = _write_lines(packed.write, records)
         else:
-            _write_lines(file.write, records)
-    return digest_file(path)
+            last = _write_lines(file.write, records)
+    return digest_file(path), last
 
 
-def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> None:
-    for record in records:
-        write(encode_record(record) + b"\n")
+def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> Record | None:
+    last = None
+    for last in records:
+        write(encode_record(last) + b"\n")
+    return last
 
 
 def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
