@@ -34,7 +34,7 @@ class GlobusAccess(msgspec.Struct, kw_only=True, dict=True, eq=False):
     """How a program authenticates: with an ``app`` (`globus_sdk.UserApp`, `ClientApp`) or an ``authorizer``
     of `globus_sdk`. ``base_url`` replaces the address of the service. Raises BadInput if there is neither."""
 
-    SERVICE: ClassVar[str]
+    service: ClassVar[str]
 
     app: Any = None
     authorizer: Any = None
@@ -44,7 +44,7 @@ class GlobusAccess(msgspec.Struct, kw_only=True, dict=True, eq=False):
     def __post_init__(self) -> None:
         if (self.app is None) == (self.authorizer is None):
             raise BadInput(
-                f"The program has no credentials for {self.SERVICE}.",
+                f"The program has no credentials for {self.service}.",
                 remedy="Give either `app=globus_sdk.UserApp(…)` or an `authorizer`.",
             )
 

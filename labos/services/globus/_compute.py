@@ -45,7 +45,7 @@ class WorkerLost(Exception):
 class GlobusEndpoint(GlobusAccess):
     """An endpoint of Globus Compute: its id, and how the program authenticates (see `GlobusAccess`)."""
 
-    SERVICE = SERVICE
+    service = SERVICE
 
     endpoint: str
 

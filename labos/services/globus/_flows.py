@@ -23,7 +23,7 @@ class GlobusFlow(GlobusAccess):
     """A flow in Globus Flows: its id, and how the program authenticates (see `GlobusAccess`). A run that
     fails is started again, at most ``attempts`` times in all."""
 
-    SERVICE = SERVICE
+    service = SERVICE
 
     name: str
     flow: str

@@ -17,7 +17,7 @@ class GlobusIndex(GlobusAccess):
     """An index of Globus Search: its id, who may see the publications (``["public"]``, for example, or URNs
     of users and groups), and how the program authenticates (see `GlobusAccess`)."""
 
-    SERVICE = SERVICE
+    service = SERVICE
 
     index: str
     visible_to: Sequence[str]

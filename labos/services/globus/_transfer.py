@@ -45,7 +45,7 @@ class GlobusPlace(msgspec.Struct, frozen=True):
 class GlobusCarrier(GlobusAccess):
     """Globus Transfer, and how the program authenticates (see `GlobusAccess`)."""
 
-    SERVICE = SERVICE
+    service = SERVICE
 
     @cached_property
     def client(self) -> Any:
