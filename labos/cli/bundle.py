@@ -10,13 +10,14 @@ from labos.cli._complete import make_completer
 from labos.cli._options import file_option
 from labos.cli._query import Where, log_and_json, open_database
 from labos.errors import NotFound, SystemFailed
+from labos.private import create_file
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
 from labos.settings import Settings
-from labos.store import create_file, open_blobs
+from labos.store import open_blobs
 
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")

@@ -19,13 +19,14 @@ from labos.core.state import LabState, hash_state
 from labos.core.wells import sort_by_well
 from labos.core.words import Kept
 from labos.errors import BadInput
+from labos.ports import StoredWords
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
 from labos.services.log import decode_event
 from labos.services.shown import WordsBeside, show_text
 from labos.services.steps import LogStep, StateChange, iterate_steps, make_plain_state
 from labos.services.times import iso_time, show_time
-from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
+from labos.store import open_store, read_backup, read_segment, read_words_copy, records_of
 
 WIDEST = 100
 HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: its parts with WORD; q: end"

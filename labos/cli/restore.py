@@ -22,13 +22,13 @@ from labos.core.ids import LabId
 from labos.core.state import hash_state
 from labos.core.words import Kept
 from labos.errors import LogDamaged
+from labos.ports import StoredWords
 from labos.services.log import fold_to
 from labos.settings import KernelInfo, Settings, announce
 from labos.store import (
     ERASURES,
     Blobs,
     FolderBlobs,
-    StoredWords,
     find_first_damage,
     forget_end,
     key_of,

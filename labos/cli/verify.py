@@ -19,6 +19,7 @@ from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
 from labos.core.state import hash_state
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
+from labos.private import create_file
 from labos.services.checkpoint import Checkpoint, find_contradiction, make_checkpoint, read_checkpoint
 from labos.services.journals import list_surplus
 from labos.services.signatures import check_signatures
@@ -40,7 +41,6 @@ from labos.store import (
     Damage,
     Progress,
     SqlEventStore,
-    create_file,
     find_first_damage,
     key_of,
     open_blobs,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.registry import TYPES, Event, event
+from labos.core.registry import TYPES, Event, decode, event
 from labos.core.structs import make_from
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 
@@ -63,6 +63,12 @@ class WordsErased(ErasureEvent, frozen=True):
 
     def references(self) -> list[str]:
         return [f"{PREFIX}{digest}" for digest in self.digests]
+
+
+def list_erased(kind: str, schema: int, payload: bytes) -> list[str]:
+    """The references to words that a stored event erased."""
+    event = decode(kind, schema, payload) if kind == WordsErased.TYPE else None
+    return event.references() if isinstance(event, WordsErased) else []
 
 
 def list_references_in_words(kind: str, payload: bytes) -> list[str]:

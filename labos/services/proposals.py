@@ -11,7 +11,6 @@ import msgspec
 
 from labos.core.approvals import Proposal
 from labos.core.ids import CampaignId
-from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.errors import LabosError
@@ -62,13 +61,8 @@ def _compare_lines(
 ) -> tuple[str, ...]:
     was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":
-        old, new = (
-            _find_first(log, past.subject, RunSubmitted),
-            _find_first(log, proposal.subject, RunSubmitted),
-        )
-        if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
-            return tuple(compare(old.payload, new.payload))
-        return ()
+        old, new = _find_payload(log, past.subject), _find_payload(log, proposal.subject)
+        return () if old is None or new is None else tuple(compare(old, new))
     if part == "terms":
         return tuple(compare(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
     if part == "workflow" or part.startswith("file:"):
@@ -76,9 +70,11 @@ def _compare_lines(
     return ()
 
 
-def _find_first(log: Log, stream: str, kind: type[Event]) -> Event | None:
-    record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
-    return decode_event(record) if record is not None else None
+def _find_payload(log: Log, run: str) -> dict[str, Any] | None:
+    """The payload with which a run was submitted."""
+    record = next(iter(log.select(LogQuery(streams=(run,), types=(RunSubmitted.TYPE,)))), None)
+    event = decode_event(record) if record is not None else None
+    return event.payload if isinstance(event, RunSubmitted) else None
 
 
 def _read_text(blobs: BlobReader, digest: str) -> str | None:
