@@ -10,7 +10,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_table, wants_json
 
 if TYPE_CHECKING:
     from labos.spec.description import DescriptionFile, MovesEntry, PlaceEntry
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option("--variant", default="", metavar="NAME", help="Another size of the instrument.")
 @click.option("--urdf", metavar="FOLDER", help="Write a URDF and its meshes into this folder.")
 @json_option
-def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool) -> None:
+def describe_command(driver: str, variant: str, urdf: str | None) -> None:
     """Show the size of DRIVER's instrument, its moving parts, and its places for labware.
 
     DRIVER is an installed driver, a file (shaker.py), or a description.yaml, which is also checked.
@@ -42,12 +42,12 @@ def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool)
         file = variant_of(file, variant)
     if urdf is not None:
         written = _write(Path(urdf), f"{file.driver}_{variant}" if variant else file.driver, file)
-        if as_json:
+        if wants_json():
             show_json({"written": [str(path) for path in written]})
         else:
             for path in written:
                 click.echo(f"wrote {path}")
-    elif as_json:
+    elif wants_json():
         show_json(make_plain(file))
     else:
         _show(file)

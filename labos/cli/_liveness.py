@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -15,9 +17,12 @@ from labos.core.state import LabState
 from labos.errors import NotFound, StoreUnavailable
 from labos.ports import Head
 from labos.services.history import fold_state_at
-from labos.services.times import show_time
+from labos.services.log import Log
+from labos.services.times import Moment, show_time
 from labos.settings import Settings, find_kernel
 from labos.store import find_lease_holder
+
+NOW = Moment()
 
 
 def find_lab_now(url: str, head: Head) -> int:
@@ -38,6 +43,18 @@ def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
         when = show_time(head.recorded_at)
         ends = "; last known:" if last_known else "."
         click.echo(f"labos: No kernel runs this lab. Its last event was at {when}{ends}", err=True)
+
+
+@contextmanager
+def open_current_log(
+    where: Where, moment: Moment = NOW, *, stored: bool = False, last_known: bool = True
+) -> Iterator[Log]:
+    """As ``open_log``. If no kernel runs the lab, this is reported first, as by ``say_if_dead``, unless a past
+    ``moment`` is shown."""
+    with open_log(where, stored=stored) as store:
+        if moment == NOW:
+            say_if_dead(where.url, store.head(), last_known=last_known)
+        yield store
 
 
 def open_questions(home: str | None) -> list[dict[str, Any]]:
@@ -61,8 +78,7 @@ def read_last_state(settings: Settings) -> LabState:
     """The state at the end of the log of a lab without a kernel; it is announced as the last known state.
     Raises NotFound if there is no log."""
     try:
-        with open_log(Where(settings.home, settings.database)) as store:
-            say_if_dead(settings.database, store.head())
+        with open_current_log(Where(settings.home, settings.database)) as store:
             return fold_state_at(store)
     except StoreUnavailable as error:
         raise NotFound(

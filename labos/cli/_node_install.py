@@ -8,7 +8,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import cert_option, file_option, home_option, json_option, pki_option
-from labos.cli._out import report
+from labos.cli._out import report_done
 from labos.errors import BadInput, SystemFailed
 from labos.settings import Settings, last_kernel
 from labos.version import VERSION
@@ -51,7 +51,6 @@ def install(
     cert: Path | None,
     pki: Path | None,
     home: str | None,
-    as_json: bool,
 ) -> None:
     """Write an archive that installs the node of WORKCELL/MODULE on another computer with Linux and systemd:
     program, user, settings, certificate and systemd unit.
@@ -83,7 +82,7 @@ def install(
         raise SystemFailed(f"{target} cannot be written: {error}.", remedy="Name another file.") from None
     secret = " It holds the node's private key." if folder is not None else ""
     facts = {"module": module, "file": str(target), "secure": folder is not None, "version": VERSION}
-    report(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts, as_json=as_json)
+    report_done(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts)
 
 
 def _certificate(settings: Settings, module: str, connect: str) -> Path | None:

@@ -12,6 +12,7 @@ import click
 import msgspec
 from click.core import ParameterSource
 
+from labos.cli._out import note_json
 from labos.cli._remote import folder_if_needed
 from labos.errors import BadInput
 
@@ -108,7 +109,7 @@ def wait_option(about: str, *, default: bool) -> Callable[[F], F]:
 
 def json_option_saying(about: str) -> Callable[[F], F]:
     """``--json`` with a help text of its own. Errors are also written as JSON then."""
-    return click.option("--json", "as_json", is_flag=True, help=about)
+    return click.option("--json", "as_json", is_flag=True, help=about, expose_value=False, callback=note_json)
 
 
 json_option = json_option_saying("JSON, for programs.")
@@ -126,12 +127,10 @@ user_option = click.option(
 
 
 class Asker(msgspec.Struct, frozen=True):
-    """The lab, the user and the form of the answer: the given options ``--user``, ``--home`` and
-    ``--json``."""
+    """The lab and the user: the given options ``--user`` and ``--home``."""
 
     name: str | None
     home: str | None
-    as_json: bool
 
     @property
     def user(self) -> str:
@@ -144,37 +143,20 @@ class Asker(msgspec.Struct, frozen=True):
 
         return need_lab(self.home)
 
-    def end_with_json(self, value: Any) -> None:
-        """With ``--json``, show the value and end the command."""
-        from labos.cli._out import end_with_json
-
-        end_with_json(value, self.as_json)
-
-    def report(self, sentence: str, facts: Any) -> None:
-        """Report what a command has done."""
-        from labos.cli._out import report
-
-        report(sentence, facts, as_json=self.as_json)
-
-
-def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
-
-    @wraps(command)
-    def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
-        return command(*args, asker=Asker(user, home, as_json), **options)
-
-    return user_option(home_option(json_option(wrap)))
-
 
 def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
     @wraps(command)
-    def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
-        return command(*args, asker=Asker(None, home, as_json), **options)
+    def wrap(*args: Any, home: str | None, user: str | None = None, **options: Any) -> Any:
+        return command(*args, asker=Asker(user, home), **options)
 
     return home_option(json_option(wrap))
+
+
+def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
+    return user_option(lab_and_json(command))
 
 
 lab_options = options_together(

@@ -16,6 +16,7 @@ from labos.services.times import with_iso_times
 
 LONGEST_WORD = 32
 
+_JSON = "labos.cli.json"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+\-Z]*")
 
 
@@ -64,18 +65,28 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
-def end_with_json(value: Any, as_json: bool, code: int = 0) -> None:
+def note_json(context: click.Context, option: click.Parameter, value: bool) -> None:
+    """Callback of ``--json``: the functions below know of it, so that no command has to pass it on."""
+    context.meta[_JSON] = value
+
+
+def wants_json() -> bool:
+    """Whether the present command answers in JSON."""
+    return bool(click.get_current_context().meta.get(_JSON))
+
+
+def end_with_json(value: Any, code: int = 0) -> None:
     """With ``--json``, show the value and end the command with this exit code."""
-    if as_json:
+    if wants_json():
         show_json(value)
         if code:
             raise SystemExit(code)  # as where a command without --json has found a fault
         click.get_current_context().exit()
 
 
-def report(sentence: str, facts: Any, *, as_json: bool) -> None:
+def report_done(sentence: str, facts: Any) -> None:
     """Report what a command has done: a sentence, or its facts as JSON."""
-    if as_json:
+    if wants_json():
         show_json(facts)
     else:
         click.echo(sentence)

@@ -13,7 +13,6 @@ import msgspec
 
 from labos.cli._options import json_option as json_option
 from labos.cli._options import refuse_password
-from labos.cli._out import end_with_json, report
 from labos.cli._remote import folder_or_database, is_given, needs_folder
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
@@ -33,12 +32,11 @@ end."""
 
 class Where(msgspec.Struct, frozen=True):
     """The lab's home folder and, if it was given, its database; or the address of a ``lab`` on another
-    computer. ``as_json``: the command answers in JSON."""
+    computer."""
 
     home: Path
     database: str = ""
     lab: str = ""
-    as_json: bool = False
 
     @property
     def url(self) -> str:
@@ -50,14 +48,6 @@ class Where(msgspec.Struct, frozen=True):
             or str(read_kernel_file(self.home).get("database", ""))
             or name_own_database(self.home)
         )
-
-    def end_with_json(self, value: Any, code: int = 0) -> None:
-        """With ``--json``, show the value and end the command with this exit code."""
-        end_with_json(value, self.as_json, code)
-
-    def report(self, sentence: str, facts: Any) -> None:
-        """Report what a command has done."""
-        report(sentence, facts, as_json=self.as_json)
 
 
 def name_own_database(home: Path) -> str:
@@ -103,12 +93,7 @@ def log_options(command: F) -> F:
 
 def log_and_json(command: F) -> F:
     """``--json``, ``--home`` and ``--database``; the command gets ``where: Where``."""
-
-    @wraps(command)
-    def wrap(*args: Any, where: Where, as_json: bool, **options: Any) -> Any:
-        return command(*args, where=msgspec.structs.replace(where, as_json=as_json), **options)
-
-    return json_option(log_options(wrap))  # type: ignore[return-value]
+    return json_option(log_options(command))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_table, terminal_width
+from labos.cli._out import end_with_json, show_table, terminal_width
 from labos.cli._query import Where, log_and_json
 from labos.core.ids import local
 
@@ -58,7 +58,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_keep_only(offer, action) for offer in offers]
-    where.end_with_json([_make_plain(offer) for offer in offers])
+    end_with_json([_make_plain(offer) for offer in offers])
     if name:
         for offer in offers:
             _show(offer)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, report_done, show_table, wants_json
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -42,7 +42,7 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
         forecast = _forecast(client, subject, answer) if subject and not no_forecast else None
     if forecast is not None:
         answer["forecast"] = forecast
-    asker.end_with_json(answer)
+    end_with_json(answer)
     if subject:
         _show(answer)
         if forecast is not None:
@@ -199,13 +199,13 @@ def approve(
         if digest is None:
             approval = client.approval_of(subject)
             digest = str(approval["proposal"]["digest"])
-            if not asker.as_json:
+            if not wants_json():
                 _show(approval)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
         approved = client.approve(subject, asker.user, digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
-    asker.report(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
+    report_done(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
 
 
 @click.command("refuse")
@@ -218,7 +218,7 @@ def refuse(subject: str, why: str, asker: Asker) -> None:
     with asker.lab() as client:
         refused = client.refuse(subject, asker.user, comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
-    asker.report(f"{subject} is refused.", facts)
+    report_done(f"{subject} is refused.", facts)
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:

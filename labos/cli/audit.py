@@ -9,6 +9,7 @@ import click
 
 from labos.cli._audit import open_projector, show_progress
 from labos.cli._group import Suggesting
+from labos.cli._out import report_done
 from labos.cli._query import Where, log_and_json, log_options
 from labos.errors import BadInput
 from labos.services.times import iso_time, show_time
@@ -82,7 +83,7 @@ def status(where: Where) -> None:
     at = round((mark.at_s or 0) * 1e9)
     facts = {"database": database.name, "position": mark.position, "behind": behind}
     until = f", which was recorded at {show_time(at)}" if at else ""
-    where.report(
+    report_done(
         f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.",
         {**facts, "log": head.position, "recorded": iso_time(at) if at else ""},
     )
@@ -113,4 +114,4 @@ def reader(where: Where, role: str) -> None:
 
 
 def _report_position(where: Where, position: int, name: str) -> None:
-    where.report(f"The {name} is at event {position}.", {"database": name, "position": position})
+    report_done(f"The {name} is at event {position}.", {"database": name, "position": position})

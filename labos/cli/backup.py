@@ -8,6 +8,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
+from labos.cli._out import end_with_json
 from labos.cli._query import (
     Where,
     log_and_json,
@@ -88,7 +89,7 @@ def command(
     if archive is not None:
         note_retention(where.home, "moved_at", now_ns())
     files = [segment.file for segment in moved]
-    where.end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
+    end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
     click.echo(f"Hash {made.hash}, state {newest.state}")

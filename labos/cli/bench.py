@@ -11,6 +11,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
+from labos.cli._out import end_with_json, show_json, wants_json
 from labos.cli._query import Where, log_and_json, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
@@ -52,7 +53,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
-    asker.end_with_json(found)
+    end_with_json(found)
     for name, types in found.items():
         click.echo(f"{name}: {describe_counts(types)}")
     if not found:
@@ -83,7 +84,7 @@ def show(where: Where) -> None:
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
     agrees = all(sight.agrees for sight in sights)
-    where.end_with_json({"agrees": agrees, "workcells": sights}, int(not agrees))
+    end_with_json({"agrees": agrees, "workcells": sights}, int(not agrees))
     for sight in sights:
         show(sight)
     if not agrees:
@@ -106,7 +107,6 @@ def round_(
     path: str | None,
     simulated: bool,
     only_say: bool,
-    as_json: bool,
     user: str | None,
 ) -> None:
     """Check the bench, station by station, after the log has lost its last events. Nodes, a
@@ -129,7 +129,6 @@ def round_(
     """
     from labos.cli._bench_round import ask, parse_options, read_file, say, show, show_not_known, show_refused
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_json
 
     with need_lab_of(where) as client:
         view = client.round()
@@ -142,14 +141,14 @@ def round_(
         if simulated:
             words = {**_read_bench_contents(where), "rest": None, **words}
         question = view["intervention"]
-        if not words and not as_json:
+        if not words and not wants_json():
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
                 ask(client, find_user(user))
                 only_say = only_say or not click.confirm(
                     "Is this complete, and has everybody left the workcell?"
                 )
-        finish = not (only_say or (as_json and not words))
+        finish = not (only_say or (wants_json() and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
             found = say(client, view, words, find_user(user), finish=finish)
@@ -159,7 +158,7 @@ def round_(
         else:
             view = client.round()
         left = [station["station"] for station in view["stations"] if not station["said"]]
-    if as_json:
+    if wants_json():
         show_json({**view, **found, "left": left})
     else:
         show_refused(found["refused"])

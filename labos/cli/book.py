@@ -10,6 +10,7 @@ from labos.cli._bookings import describe_booking, show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json, options_together
+from labos.cli._out import end_with_json, report_done
 from labos.errors import BadInput
 
 _booking = click.argument("booking", metavar="BOOKING")
@@ -179,7 +180,7 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
         begins_at = _find_time_on(client, booking, on) if on else 0
         client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     message = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    asker.report(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
+    report_done(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")
@@ -193,7 +194,7 @@ def show(booking: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         found = client.booking(booking)
-    asker.end_with_json(found)
+    end_with_json(found)
     show_bookings([found])
 
 
@@ -217,4 +218,4 @@ def _find_time_on(client: Any, booking: str, on: str) -> int:
 
 def _report_booking(found: dict[str, Any], asker: Asker) -> None:
     over = f" It overlaps with {', '.join(found['over'])}." if found["over"] else ""
-    asker.report(f"{found['id']}: {describe_booking(found)}.{over}", found)
+    report_done(f"{found['id']}: {describe_booking(found)}.{over}", found)

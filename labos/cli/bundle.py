@@ -8,6 +8,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option
+from labos.cli._out import report_done
 from labos.cli._query import Where, log_and_json, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
@@ -51,7 +52,7 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, wit
     except OSError as error:
         raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    where.report(f"{message}, proven by the checkpoint of size {about.size}.", about)
+    report_done(f"{message}, proven by the checkpoint of size {about.size}.", about)
 
 
 def make_bundle_of(

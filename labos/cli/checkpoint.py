@@ -6,7 +6,7 @@ import threading
 
 import click
 
-from labos.cli._out import show_json
+from labos.cli._out import show_json, wants_json
 from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
@@ -88,16 +88,16 @@ def command(
     """
     targets = Targets(places, witnesses, tuple(read_given_keys(witness_keys)), stamp)
     if follow:
-        _follow(where, targets, every, seconds, where.as_json)
+        _follow(where, targets, every, seconds)
         return
     with open_database(where) as store:
         made = publish(store, where.home, targets)
-    _report_checkpoint(made, where.as_json)
+    _report_checkpoint(made)
     if made.faults:
         click.get_current_context().exit(1)
 
 
-def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json: bool) -> None:
+def _follow(where: Where, targets: Targets, every: int, seconds: float) -> None:
     """Until Ctrl-C. If the database is away, it waits; if the log was rewritten, it ends."""
     from labos.cli._lab import end_in_order
 
@@ -113,7 +113,7 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
                         if gained < 0 or gained >= every or due:
                             made = publish(store, where.home, targets)
                             last_ns = now_ns()
-                            _report_checkpoint(made, as_json)
+                            _report_checkpoint(made)
                 except StoreUnavailable as error:
                     click.echo(f"labos: {error}", err=True)
                 pause.wait(POLL_S)
@@ -121,8 +121,8 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
             pass
 
 
-def _report_checkpoint(made: PublishResult, as_json: bool) -> None:
-    if as_json:
+def _report_checkpoint(made: PublishResult) -> None:
+    if wants_json():
         show_json(
             {
                 "origin": made.head.origin,

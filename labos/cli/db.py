@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._out import end_with_json, report_done
 from labos.cli._query import Where, log_and_json, log_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
@@ -45,7 +46,7 @@ def status(where: Where) -> None:
     cannot use the database as it is."""
     found = read_database_status(where.url)
     facts = _list_facts(where, found)
-    where.end_with_json(facts, int(found.state != "current"))
+    end_with_json(facts, int(found.state != "current"))
     click.echo(f"{found.name}: {_describe_status(found)}")
     if "bytes" in facts:
         click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
@@ -67,7 +68,7 @@ def upgrade(where: Where) -> None:
     found = read_database_status(where.url)
     if found.state == "current":
         message = f"The {found.name} is already at revision {found.revision}."
-        where.report(message, {"before": found.revision, "revision": found.revision})
+        report_done(message, {"before": found.revision, "revision": found.revision})
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -80,7 +81,7 @@ def upgrade(where: Where) -> None:
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
-    where.report(message, {"before": found.revision, "revision": revision})
+    report_done(message, {"before": found.revision, "revision": revision})
 
 
 @command.command("restored")
@@ -96,7 +97,7 @@ def record_restored(where: Where) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     message = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    where.report(message, {"before": before, "above": after})
+    report_done(message, {"before": before, "above": after})
 
 
 @command.command("writer")
@@ -126,7 +127,7 @@ def scrub(where: Where) -> None:
     """
     left = scrub_words(where.url)
     message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    where.report(message, {"left": left})
+    report_done(message, {"left": left})
     if left:
         click.get_current_context().exit(1)
 
@@ -136,7 +137,7 @@ def scrub(where: Where) -> None:
 def url(where: Where) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
-    where.report(show_url(where.url), {"url": show_url(where.url)})
+    report_done(show_url(where.url), {"url": show_url(where.url)})
 
 
 def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:

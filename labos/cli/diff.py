@@ -6,7 +6,7 @@ import click
 
 from labos.audit.difference import list_differences
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import AT_HELP, Where, as_moment, log_and_json
 from labos.errors import BadInput
 from labos.services.history import find_position_at
@@ -32,6 +32,6 @@ def command(where: Where, first: Moment, last: Moment) -> None:
         if begin > end:
             raise BadInput("--since is later than --until.", remedy="Exchange the two times.")
         changes = list_differences(asker, begin, end)
-    where.end_with_json({"since": begin, "until": end, "changes": changes})
+    end_with_json({"since": begin, "until": end, "changes": changes})
     click.echo(f"From event {begin} to event {end}:")
     show_table(("about", "what", "before", "after"), [(c.about, c.what, c.before, c.after) for c in changes])

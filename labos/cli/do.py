@@ -16,6 +16,7 @@ from labos.cli._options import (
     user_option,
     wait_option,
 )
+from labos.cli._out import wants_json
 from labos.errors import BadInput
 
 _options = options_together(
@@ -129,7 +130,6 @@ def _carry_out(
     database: str | None,
     speed: float | None,
     seed: int,
-    as_json: bool,
     quiet: bool,
 ) -> None:
     from labos.cli._remote import lab_of
@@ -147,17 +147,17 @@ def _carry_out(
         simulate=simulate,
     )
     if not wait:
-        _queue(job, home, as_json=as_json)
+        _queue(job, home)
         return
     url = "" if database else lab_of(home)
-    found = carry_out(job, settings, url=url, quiet=quiet or as_json, say_waits=True)
-    show_result(found, as_json=as_json)
+    found = carry_out(job, settings, url=url, quiet=quiet or wants_json(), say_waits=True)
+    show_result(found)
 
 
-def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
+def _queue(job: Any, home: str | None) -> None:
     from labos.cli._lab import need_lab
     from labos.cli.run import parse_places, submit
 
     with need_lab(home) as client:
         run = submit(client, job, job.workcell, parse_places(job.placed))
-    click.echo(f'{{"run": "{run}"}}' if as_json else run)
+    click.echo(f'{{"run": "{run}"}}' if wants_json() else run)

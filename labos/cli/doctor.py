@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 import click
 
 from labos.cli._exit import DONE, FAILED
+from labos.cli._out import end_with_json
 from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
@@ -56,7 +57,7 @@ def command(where: Where) -> None:
     """
     found = list(_examine(where))
     faults = sum(finding.state == "fault" for finding in found)
-    where.end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
+    end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
     for finding in found:
         click.echo(f"{MARKS[finding.state]} {finding.told}")
         if finding.remedy:

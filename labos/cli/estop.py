@@ -11,6 +11,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, cert_option
+from labos.cli._out import show_json, wants_json
 
 PATIENCE_S = 2.0
 """How long the search for a kernel may take before the nodes are stopped without it."""
@@ -46,13 +47,12 @@ def command(
     labos estop rpl
     labos estop --all
     """
-    from labos.cli._out import show_json
 
     if (target is None) is not everything:
         raise click.UsageError("Name one module or workcell, or give --all.")
     report = _stop(target or "*", connect, cert, asker.user, asker.home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
-    if asker.as_json:
+    if wants_json():
         show_json(report)
     else:
         for module in stopped:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import has_kernel, say_if_dead
+from labos.cli._liveness import has_kernel, open_current_log
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._out import end_with_json
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
 from labos.core.interventions import Intervention
@@ -33,8 +34,7 @@ def command(where: Where, run: str) -> None:
     labos explain R3
     labos explain E1
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         inside = list_experiment_histories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
         stories, state = [run_history(store, name) for name in named], fold_state_at(store)
@@ -48,7 +48,7 @@ def command(where: Where, run: str) -> None:
     runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
-    where.end_with_json({"experiment": inside, "runs": runs} if inside else runs[0])
+    end_with_json({"experiment": inside, "runs": runs} if inside else runs[0])
     if inside:
         why = f" ({inside.why})" if inside.why else ""
         click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")

@@ -20,6 +20,7 @@ from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import file_option
+from labos.cli._out import report_done
 from labos.cli._query import (
     Where,
     as_moment,
@@ -103,7 +104,7 @@ def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, pr
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    where.report(f"{target} holds {count} in {files} files.", facts)
+    report_done(f"{target} holds {count} in {files} files.", facts)
 
 
 def _read_program(path: Path) -> Program:

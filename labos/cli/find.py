@@ -9,7 +9,7 @@ import msgspec
 
 from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, as_time, log_and_json
 from labos.client import LabClient
 from labos.services.times import parse_time, show_time
@@ -66,7 +66,7 @@ def command(where: Where, words: tuple[str, ...], facets: bool, **options: Any) 
     else:
         with open_log_and_views(where) as (store, asker):
             found = find(asker, question, store.head().position)
-    where.end_with_json(found)
+    end_with_json(found)
     _show(found, question)
 
 

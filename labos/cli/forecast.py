@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import end_with_json
 
 
 @click.command("forecast", short_help="Forecast when runs start and end, and when a person is needed.")
@@ -22,7 +23,7 @@ def command(asker: Asker) -> None:
 
     with asker.lab() as client:
         answer = client.forecast()
-    asker.end_with_json(answer)
+    end_with_json(answer)
     found = answer["forecast"]
     show_runs(found)
     for campaign in found["campaigns"]:

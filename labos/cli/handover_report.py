@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._liveness import find_lab_now, has_kernel, open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.services.describe import owner_name
 from labos.services.handover import Handover, OpenRun, read_handover
 from labos.services.times import parse_time, show_span, show_time
@@ -32,11 +32,10 @@ def command(where: Where, since: str) -> None:
     labos handover-report --since 2026-05-04T06:00 --json
     """
     began = parse_time(since, now_ns())
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         until = max(find_lab_now(where.url, store.head()), began)
         found = read_handover(store, began, until, kernel_runs=has_kernel(where.url))
-    where.end_with_json(found)
+    end_with_json(found)
     click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
     _show_runs(found)
     _show_people(found)

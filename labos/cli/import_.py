@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_table, wants_json
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
 from labos.spec.findings import ASSUMED, make_finding
@@ -73,7 +73,7 @@ class ImportOutcome(msgspec.Struct):
 )
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
-def command(path: str, output: str, force: bool, as_json: bool) -> None:
+def command(path: str, output: str, force: bool) -> None:
     """Convert workcells and workflows of WEI and MADSci, and labware of Opentrons, to LabOS' own format.
 
     The command searches a FOLDER for YAML files and keeps its structure. If a workcell file lacks
@@ -95,7 +95,7 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
 
     outcome = read_all(Path(path), Path(output), descriptions())
     _write(outcome, force=force)
-    if as_json:
+    if wants_json():
         show_json(_show(outcome))
     else:
         _show_outcome(outcome)

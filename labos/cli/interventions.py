@@ -7,9 +7,9 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._liveness import find_lab_now, say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._liveness import find_lab_now, open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json
 from labos.core.state import LabState
 from labos.services.history import fold_state_at
 from labos.services.interventions import (
@@ -34,13 +34,12 @@ def command(where: Where, everything: bool) -> None:
     labos interventions --all      also answered questions
     labos resolve I2 done          answer one
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         stories = list(list_intervention_histories(store).values())
         now = find_lab_now(where.url, store.head())
         places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
     shown = [story for story in stories if everything or story.open]
-    where.end_with_json([_make_plain(story, places) for story in shown])
+    end_with_json([_make_plain(story, places) for story in shown])
     answered = [story for story in shown if not story.open]
     if answered:
         rows = [_row(story) for story in answered]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 import msgspec
 
-from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.core.ids import local
 from labos.services.history import fold_state_at
 from labos.services.inventory import (
@@ -33,12 +33,11 @@ def command(where: Where) -> None:
     labos inventory
     labos inventory --json
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         state = fold_state_at(store)
     now = max(now_ns(), state.recorded_at)
     found = count_inventory(state, now, iso_time(now)[:10])
-    where.end_with_json({"position": state.position, "time": iso_time(now), **msgspec.structs.asdict(found)})
+    end_with_json({"position": state.position, "time": iso_time(now), **msgspec.structs.asdict(found)})
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_list_resource_cells(left) for left in found.resources],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._out import end_with_json, report_done
 from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.services.times import iso_time
@@ -43,7 +44,7 @@ def command() -> None:
 def create(where: Where, name: str | None, witness: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
-    where.report(public.text, {"public_key": public.text, "name": public.name})
+    report_done(public.text, {"public_key": public.text, "name": public.name})
 
 
 @command.command("show")
@@ -54,12 +55,12 @@ def show(where: Where, witness: bool) -> None:
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
-        where.report(text, {"public_key": text})
+        report_done(text, {"public_key": text})
         return
     known = keys.list_public_keys()
     if not known:
         raise NotFound("This lab has no key.", remedy="Make one: labos key create")
-    where.end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
+    end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
     click.echo(known[-1].text)
 
 
@@ -72,7 +73,7 @@ def rotate(where: Where) -> None:
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.list_public_keys()[-1]
-    where.end_with_json({"public_key": public.text, "size": size})
+    end_with_json({"public_key": public.text, "size": size})
     click.echo(public.text)
     click.echo(
         f"The old key signs nothing after position {size}. Give the new public key to people who "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
-from labos.cli._out import report
+from labos.cli._out import end_with_json, report_done
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -66,7 +66,6 @@ def login(
     scope: str,
     days: float,
     home: str | None,
-    as_json: bool,
 ) -> None:
     """Sign in to the lab at URL (LABOS_URL, or the lab in the folder). Later commands then run as you.
 
@@ -111,7 +110,7 @@ def login(
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
-    report(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
+    report_done(f"You are signed in as {found['user']} at {place}, until {until}.", facts)
 
 
 def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
@@ -125,7 +124,7 @@ def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, d
 @click.argument("url", default="", metavar="[URL]")
 @home_option
 @json_option
-def logout(url: str, home: str | None, as_json: bool) -> None:
+def logout(url: str, home: str | None) -> None:
     """Sign out of the lab at URL (LABOS_URL, or the lab in the folder). The token is revoked and deleted."""
     from labos.client._token import find_kept_token, keep_token
     from labos.errors import NotSignedIn
@@ -133,14 +132,12 @@ def logout(url: str, home: str | None, as_json: bool) -> None:
     with _find_lab(url, home) as client:
         place = client.token_place
         if not (kept := find_kept_token(place)):
-            report(
-                f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
-            )
+            report_done(f"You have not signed in to {place}.", {"place": place, "signed_out": False})
             return
     with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # also if LABOS_TOKEN is set
         client.sign_out()  # else the token was not valid any more
     keep_token(place, "")
-    report(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
+    report_done(f"You are signed out of {place}.", {"place": place, "signed_out": True})
 
 
 def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
@@ -165,7 +162,7 @@ def whoami(asker: Asker) -> None:
 
     with asker.lab() as client:
         found = client.identity()
-    asker.end_with_json(found)
+    end_with_json(found)
     if found["how"] == "open":
         click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return

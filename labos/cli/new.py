@@ -29,7 +29,7 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ ()\-]*")
 @click.argument("name")
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
-def command(kind: str, name: str, force: bool, as_json: bool) -> None:
+def command(kind: str, name: str, force: bool) -> None:
     """Create a template of a workcell, a workflow or an application with this NAME.
 
     NAME may be a path. The files work without changes: the workflow runs on the new workcell, and also on
@@ -64,7 +64,7 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             raise BadInput(f"{file} cannot be written: {error.strerror or error}.") from None
-    end_with_json({"written": [str(file) for file in files]}, as_json)
+    end_with_json({"written": [str(file) for file in files]})
     for file in files:
         click.echo(f"wrote {file}")
     first = next(iter(files))

@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
 from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
-from labos.cli._out import end_with_json, report
+from labos.cli._out import end_with_json, report_done
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
 
@@ -156,7 +156,7 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
     was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
-    asker.report(f"{path}: {now} (it was {was}).", facts)
+    report_done(f"{path}: {now} (it was {was}).", facts)
 
 
 @command.command("trace")
@@ -174,7 +174,7 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
     with asker.lab() as client:
         file = client.trace(module, asker.user, on=not off)
     message = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
-    asker.report(message, {"module": module, "file": file, "on": not off})
+    report_done(message, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")
@@ -182,7 +182,7 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
 @click.argument("serial", required=False, default="")
 @home_option
 @json_option
-def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> None:
+def accept_unit(module: str, serial: str, home: str | None) -> None:
     """Accept another unit as the device of MODULE: the unit with this SERIAL number, or without SERIAL the
     unit that is connected next.
 
@@ -205,7 +205,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     else:
         forget_unit(file)
     message = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
-    report(message, {"module": module, "serial": serial, "was": was}, as_json=as_json)
+    report_done(message, {"module": module, "serial": serial, "was": was})
 
 
 command.add_command(install)
@@ -277,7 +277,7 @@ def fork_server(link: int) -> None:
     help="Further keys below `config:` of the module, in YAML.",
 )
 @json_option
-def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_json: bool) -> None:
+def about(interface: str, address: str, auth: str, more: tuple[str, ...]) -> None:
     """Ask a foreign node for its actions, and print them as a module for a workcell file.
 
     INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node). ADDRESS
@@ -301,7 +301,7 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
     module = {"interface": interface, "config": config, "about": make_about(described)}
-    end_with_json(module, as_json)
+    end_with_json(module)
     click.echo(to_yaml(module), nl=False)
 
 

@@ -10,7 +10,8 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._exit import DONE, FAILED
-from labos.cli._query import Where, log_and_json, open_log, read_kernel_file
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
 
@@ -46,7 +47,6 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     reports a remedy.
     """
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_table
     from labos.settings import find_kernel
 
     if check or modules:
@@ -59,7 +59,7 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     else:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
-    where.end_with_json(known)
+    end_with_json(known)
     columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
     if any(map(_find_valid_until, known)):  # most labs have none
         columns.append("calibrated until")
@@ -69,12 +69,11 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
 
 def _check(where: Where, names: Sequence[str]) -> None:
     from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_table
 
     with need_lab_of(where) as client:
         found = [_drop_old_name(one) for one in client.check_nodes(names)]
     unable = [one for one in found if one["answer"] not in ("IDLE", "BUSY")]
-    where.end_with_json(found, FAILED if unable else DONE)
+    end_with_json(found, FAILED if unable else DONE)
     columns = ("module", "answers", "driver", "labos", "unit", "firmware", "sees")
     show_table(columns, [_list_columns(one) for one in found])
     for one in unable:
@@ -109,12 +108,11 @@ def _flatten_seen(seen: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _list_last_known(where: Where) -> list[dict[str, Any]]:
     """The modules according to the log. Raises NotFound if there is none."""
-    from labos.cli._liveness import say_if_dead
+    from labos.cli._liveness import open_current_log
     from labos.http.views import list_calibrations
     from labos.services.history import fold_state_at
 
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         state = fold_state_at(store)
     doing = state.actions.open
     return [

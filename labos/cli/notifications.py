@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._liveness import say_if_dead
-from labos.cli._out import end_with_json, show_table
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, json_option, log_and_json, log_options, open_log
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
@@ -40,7 +40,7 @@ LOOK_EVERY_S = 2.0
 @json_option
 @log_options
 @click.pass_context
-def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int, as_json: bool) -> None:
+def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int) -> None:
     """List sent and unsent notifications. LabOS notifies contacts of questions, missed windows, unavailable
     modules, failed runs, and a stopped kernel.
 
@@ -63,10 +63,9 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         outbox = Outbox(path, create=False)
         found = outbox.list_deliveries(contact, waiting=waiting, last=last)
         outbox.close()
-    with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
-        say_if_dead(where.url, store.head(), last_known=False)
+    with suppress(LabosError), open_current_log(where, last_known=False) as store:  # there may be no lab yet
         found = [show_struct(store, delivery) for delivery in found]
-    end_with_json([_list_facts(delivery) for delivery in found], as_json)
+    end_with_json([_list_facts(delivery) for delivery in found])
     rows = [
         (
             delivery.contact,
@@ -103,7 +102,7 @@ def test(where: Where, contact: str) -> None:
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
-    where.report(text, {"contact": contact, "channel": channel, "message": message.id})
+    report_done(text, {"contact": contact, "channel": channel, "message": message.id})
 
 
 @command.command("watch")

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.cli._group import Suggesting
 from labos.cli._options import pki_option, why_option
-from labos.cli._out import report
+from labos.cli._out import end_with_json, report_done
 from labos.cli._query import Where, log_and_json, now_ns, open_database
 from labos.errors import LabosError, NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
@@ -69,7 +69,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> N
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
     who = "LabOS issues the certificates" if authority.issues else "the site issues the certificates"
-    where.report(f"{authority.folder}: {who}.", facts)
+    report_done(f"{authority.folder}: {who}.", facts)
 
 
 @command.command("issue")
@@ -104,7 +104,7 @@ def issue(
     identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("admit")
@@ -138,7 +138,7 @@ def admit(
     """
     authority = _find_authority(where, pki)
     entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("list")
@@ -148,7 +148,7 @@ def list_(where: Where, pki: Path | None) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _find_authority(where, pki)
     entries = authority.read_members().entries
-    where.end_with_json([_list_facts(authority, entry) for entry in entries])
+    end_with_json([_list_facts(authority, entry) for entry in entries])
     for entry in entries:
         click.echo(f"{entry.identity.shown:<28} {_describe_state(entry):<40} CN {entry.common_name}")
     if not entries:
@@ -167,7 +167,7 @@ def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, p
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("revoke")
@@ -182,7 +182,7 @@ def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    where.report(message, _list_facts(authority, entry))
+    report_done(message, _list_facts(authority, entry))
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:
@@ -230,6 +230,6 @@ def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]
     return {**found.pop("identity"), **found, "folder": str(authority.credentials(entry.identity).folder)}
 
 
-def _report_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
+def _report_folder(authority: Authority, entry: CertificateEntry) -> None:
     facts = _list_facts(authority, entry)
-    report(str(facts["folder"]), facts, as_json=as_json)
+    report_done(str(facts["folder"]), facts)

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json, open_log
 from labos.core.effects import Carrying, Claims, Needs
@@ -159,7 +159,7 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         click.echo(f"labos: {finding}", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
-    where.end_with_json(outline)
+    end_with_json(outline)
     _show_outline(outline)
 
 

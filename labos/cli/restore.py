@@ -9,6 +9,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option
+from labos.cli._out import end_with_json
 from labos.cli._query import (
     Where,
     log_and_json,
@@ -124,13 +125,11 @@ def command(
             own = FolderBlobs(place.home / "blobs")  # the folder where the lab stores its own
             return put_back(place, folder, key, own, known, archive)
 
-        rehearse(where, folder, try_it, scratch, as_json=where.as_json)
+        rehearse(where, folder, try_it, scratch)
         return
     # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
-    where.end_with_json(
-        {name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"}
-    )
+    end_with_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
     click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
     if done.users:

@@ -41,7 +41,6 @@ def command(
     output: Path | None,
     force: bool,
     payloads: tuple[str, ...],
-    as_json: bool,
 ) -> None:
     """Rewrite WORKFLOW for another workcell. For each module, the command proposes a module of the other
     workcell with the same actions and stations, and reports what does not fit. It writes a file with the new
@@ -78,7 +77,7 @@ def command(
     fits = verdict.sound and not proposal.misfits
     difference = list(compare_lines(text, renamed))
     facts = {"fits": fits, "file": str(target), "difference": difference, "findings": verdict.findings}
-    end_with_json({**facts, **msgspec.to_builtins(proposal)}, as_json, int(not fits))
+    end_with_json({**facts, **msgspec.to_builtins(proposal)}, int(not fits))
     show_table(("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches])
     for misfit in proposal.misfits:
         click.echo(f"does not fit: {misfit}")

@@ -11,6 +11,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import find_user, json_option, lab_options, user_option
+from labos.cli._out import show_json, show_line, wants_json
 from labos.cli._payload import payload_option
 from labos.core.ids import local
 
@@ -58,7 +59,6 @@ def command(
     database: str | None,
     speed: float | None,
     seed: int,
-    as_json: bool,
     quiet: bool,
     dry_run: bool,
 ) -> None:
@@ -87,16 +87,15 @@ def command(
     job = RunRequest(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
     if dry_run:
-        forecast(job, home, as_json=as_json)
+        forecast(job, home)
         return
-    show_result(carry_out(job, settings, url=url, quiet=quiet or as_json), as_json=as_json)
+    show_result(carry_out(job, settings, url=url, quiet=quiet or wants_json()))
 
 
-def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
+def forecast(job: RunRequest, home: str | None) -> None:
     """Show the forecast for a job in the running lab. Raises Exit(1) if it would be refused."""
     from labos.cli._forecast import show_change, show_ways
     from labos.cli._lab import need_lab
-    from labos.cli._out import show_json
 
     with need_lab(home) as client:
         answer = client.forecast_run(
@@ -108,7 +107,7 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
             place=parse_places(job.placed),
         )
     found = answer["forecast"]
-    if as_json:
+    if wants_json():
         show_json(answer)
     elif found["refusal"]:
         click.echo(f"It would be refused: {found['refusal']}")
@@ -273,11 +272,10 @@ def show_warnings(client: LabClient) -> None:
         click.echo(f"labos: {warning} (warning)", err=True)
 
 
-def show_result(result: RunResult, *, as_json: bool) -> None:
+def show_result(result: RunResult) -> None:
     """Show how a run ended. Raises Exit(1) if it did not complete."""
-    from labos.cli._out import show_line
 
-    if as_json:
+    if wants_json():
         show_line(result)
     else:
         done = sum(step.state == "done" for step in result.steps)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._options import find_user, user_option
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
@@ -36,7 +36,7 @@ def command(where: Where, file: str | None, user: str | None) -> None:
             client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:
         accounts = make_ledger(fold_to(store, store.head().position), now_ns())
-    where.end_with_json(accounts)
+    end_with_json(accounts)
     titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 

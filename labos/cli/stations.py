@@ -8,9 +8,9 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_log
+from labos.cli._query import Where, at_option, json_option, log_options
 from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
@@ -47,7 +47,7 @@ class StationPlace(msgspec.Struct, frozen=True):
 @json_option
 @at_option
 @log_options
-def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool, moment: Moment) -> None:
+def command(where: Where, names: tuple[str, ...], occupied: bool, moment: Moment) -> None:
     """Show the labware at each station, its owner, and since when it stands there.
 
     \b
@@ -59,16 +59,14 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     `unknown` is not `empty`: the station was never declared. Empty shelves of a hotel are shown only if you
     name the hotel or the shelf, such as wc.output.3.
     """
-    with open_log(where) as store:
+    with open_current_log(where, moment) as store:
         position = find_position_at(store, moment)
-        if moment == Moment():
-            say_if_dead(where.url, store.head())
         state = fold_to(store, position)
         shown = list_places(store, state, names)
     if occupied:
         shown = [place for place in shown if place.state != "empty" or place.maybe or place.expected]
     at = iso_time(state.recorded_at)
-    end_with_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown}, as_json)
+    end_with_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
     title = f"After event {position}, {show_time(state.recorded_at)}"
     rows = [row for place in shown if not _is_bare(place, names) for row in _rows(place)]
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)

@@ -8,6 +8,7 @@ import click
 
 from labos.cli._complete import make_completer, name_option
 from labos.cli._options import Asker, asker_options, propose_option, wait_option
+from labos.cli._out import wants_json
 from labos.cli._payload import payload_option
 
 
@@ -52,8 +53,8 @@ def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, 
         run = client.submit(workflow, values, user=asker.user, **asked)
         show_warnings(client)
         if not wait:
-            click.echo(f'{{"run": "{run}"}}' if asker.as_json else run)
+            click.echo(f'{{"run": "{run}"}}' if wants_json() else run)
             return
         from labos.cli.run import show_result
 
-        show_result(client.wait(run), as_json=asker.as_json)
+        show_result(client.wait(run))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._options import home_option, json_option
-from labos.cli._out import report
+from labos.cli._out import report_done
 from labos.errors import NotFound, Refused, SystemFailed
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ POLL_S = 0.02
 )
 @home_option
 @json_option
-def command(home: str | None, wait_s: float, as_json: bool) -> None:
+def command(home: str | None, wait_s: float) -> None:
     """Stop the kernel on this computer, and let its standby take over the lab at once. Runs continue and
     instruments are not disturbed. No action is started for one or two seconds. Run this command on the
     kernel's computer, as the user that runs the kernel.
@@ -85,7 +85,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
         store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
     message = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
-    report(message, facts, as_json=as_json)
+    report_done(message, facts)
 
 
 def expect_to_listen(pid: int, number: int) -> None:

@@ -9,6 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
+from labos.cli._out import end_with_json, report_done, show_table
 
 
 @click.command("teach")
@@ -44,7 +45,7 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
         version = client.teach(module, station, numbers, asker.user, why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    asker.report(f"{module} now reaches {what} with version {version} of the pose.", facts)
+    report_done(f"{module} now reaches {what} with version {version} of the pose.", facts)
 
 
 @click.command("locations")
@@ -57,10 +58,9 @@ def locations(module: str, asker: Asker) -> None:
     \b
     labos locations pf400
     """
-    from labos.cli._out import show_table
 
     found = _find_locations(module, asker.home)
-    asker.end_with_json(found)
+    end_with_json(found)
     rows = [
         (name, kind, at)
         for name, own in found.items()

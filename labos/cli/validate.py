@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_table, wants_json
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
@@ -85,12 +85,12 @@ def command(
     `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
-        _check_alone(workflow, as_json=where.as_json)
+        _check_alone(workflow)
         return
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
-    if where.as_json:
+    if wants_json():
         show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
     else:
         _show_verdict(verdict, compiled)
@@ -98,7 +98,7 @@ def command(
         click.get_current_context().exit(1)
 
 
-def _check_alone(name: str, *, as_json: bool) -> None:
+def _check_alone(name: str) -> None:
     """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
     from labos.bootstrap import descriptions, shape_of
     from labos.spec.dialects import detect_kind
@@ -127,7 +127,7 @@ def _check_alone(name: str, *, as_json: bool) -> None:
     except SpecError as error:
         findings = [make_finding(error)]
     sound = all(finding.severity != "error" for finding in findings)
-    if as_json:
+    if wants_json():
         show_json({"sound": sound, "findings": findings})
     else:
         for finding in findings:

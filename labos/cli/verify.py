@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import end_with_json, show_json
+from labos.cli._out import end_with_json, show_json, wants_json
 from labos.cli._query import Where, log_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
@@ -139,7 +139,7 @@ def command(
     if archive is not None and (folder is None or detached):
         raise click.UsageError("--archive needs --backup FOLDER, and cannot be combined with --detached.")
     if bundle is not None:
-        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), where.as_json)
+        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa))
         return
     key = key_of(key_file) if key_file else b""
     signed = file if file is not None and is_signed(file) else None
@@ -147,16 +147,16 @@ def command(
         raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
         if detached:
-            _verify_detached(folder, key, where.as_json)
+            _verify_detached(folder, key)
         else:
-            _verify_backup(folder, archive, key, where.as_json)
+            _verify_backup(folder, archive, key)
         return
     # The journals first: a request is in the log before its node receives it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
         end = add_seal(make_checkpoint(store), key)
-        with _show_progress(where.as_json) as progress:
+        with _show_progress(wants_json()) as progress:
             damage = find_first_damage(store, progress)
         against = find_contradiction(store, seen) if seen is not None else ""
         compared = None
@@ -179,7 +179,7 @@ def command(
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
-    if where.as_json:
+    if wants_json():
         show_json(
             {
                 "whole": whole,
@@ -270,14 +270,14 @@ def _report_log(
         click.echo(CAVEAT)
 
 
-def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool) -> None:
+def _verify_backup(folder: Path, archive: Path | None, key: bytes) -> None:
     try:
         found, state = verify_backup(folder, key=key, archive=archive)
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
-        _report_damage(error, as_json)
+        _report_damage(error)
     facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
-    end_with_json(facts, as_json)
+    end_with_json(facts)
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
         f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
@@ -311,19 +311,19 @@ def _report_accounts(people: AccountsCopy | None) -> None:
         click.echo(f"The accounts of {people.users} users are intact, as of {iso_time(people.copied_at)}.")
 
 
-def _report_damage(error: LogDamaged, as_json: bool) -> NoReturn:
-    end_with_json({"whole": False, "fault": error.message, "position": error.position}, as_json, 1)
+def _report_damage(error: LogDamaged) -> NoReturn:
+    end_with_json({"whole": False, "fault": error.message, "position": error.position}, 1)
     click.echo(f"The backup is damaged. {error}")
     click.get_current_context().exit(1)
 
 
-def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
+def _verify_detached(folder: Path, key: bytes) -> None:
     try:
         found = verify_detached(folder, key=key)
         people = _accounts_of(folder, found.lab, key)
     except LogDamaged as error:
-        _report_damage(error, as_json)
-    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)}, as_json)
+        _report_damage(error)
+    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
     first, last = found.segments[0], found.segments[-1]
     seals = ", all seals valid" if found.sealed else ""
     absent = f" ({found.blobs_absent} are elsewhere)" if found.blobs_absent else ""

@@ -11,6 +11,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options
+from labos.cli._out import show_json, wants_json
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
@@ -40,7 +41,6 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
     """
     from labos.bootstrap import descriptions
     from labos.cli._lab import find_workcell_file
-    from labos.cli._out import show_json
     from labos.spec.labware import read_labware_files
     from labos.spec.source import read
     from labos.spec.tables import read_table_files
@@ -51,15 +51,15 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
         source = read(path, last_wins=True)
         labware, files = read_labware_files(source), read_table_files(source, descriptions())
         found = client.apply_workcell(text, str(path), asker.user, dry_run=True, labware=labware, files=files)
-        if not asker.as_json:
+        if not wants_json():
             _show(found)
         if not dry_run and _list_changes(found):
-            if not (yes or asker.as_json or found["blockers"]):
+            if not (yes or wants_json() or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
             found = client.apply_workcell(text, str(path), asker.user, labware=labware, files=files)
-            if not asker.as_json:
+            if not wants_json():
                 click.echo(f"{found['workcell']} is changed.")
-    if asker.as_json:
+    if wants_json():
         show_json(found)
 
 
