@@ -49,7 +49,7 @@ def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
 def open_current_log(
     where: Where, moment: Moment = NOW, *, stored: bool = False, last_known: bool = True
 ) -> Iterator[Log]:
-    """As ``open_log``. If no kernel runs the lab, this is reported first, as by ``say_if_dead``, unless a past
+    """As ``open_log``. If no kernel runs the lab, this is reported first (``say_if_dead``), unless a past
     ``moment`` is shown."""
     with open_log(where, stored=stored) as store:
         if moment == NOW:

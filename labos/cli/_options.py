@@ -113,6 +113,13 @@ def json_option_saying(about: str) -> Callable[[F], F]:
 
 
 json_option = json_option_saying("JSON, for programs.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print only the end.")
+simulate_option = click.option(
+    "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
+)
+priority_option = click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 propose_option = click.option(
     "--propose",
     is_flag=True,

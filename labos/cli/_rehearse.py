@@ -41,12 +41,7 @@ class RestoreRehearsal(msgspec.Struct, frozen=True):
     compared: str
 
 
-def rehearse(
-    where: Where,
-    folder: Path,
-    put_back: Callable[[Where], Restored],
-    scratch: Path | None,
-) -> None:
+def rehearse(where: Where, folder: Path, put_back: Callable[[Where], Restored], scratch: Path | None) -> None:
     """Restore a backup into a temporary folder, compare it with the lab's log, and note the rehearsal in the
     lab's folder. Raises what ``put_back`` raises, LogDamaged for the backup of another log."""
     began = time.monotonic()

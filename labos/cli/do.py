@@ -13,6 +13,9 @@ from labos.cli._options import (
     json_option,
     lab_options,
     options_together,
+    priority_option,
+    quiet_option,
+    simulate_option,
     user_option,
     wait_option,
 )
@@ -21,9 +24,7 @@ from labos.errors import BadInput
 
 _options = options_together(
     click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
-    click.option(
-        "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
-    ),
+    simulate_option,
     click.option(
         "--place",
         "placed",
@@ -32,20 +33,14 @@ _options = options_together(
         help="Labware that stands at a station before the action, such as `hidex.default=plate96`.",
     ),
     user_option,
-    click.option(
-        "--priority",
-        type=int,
-        default=0,
-        show_default=True,
-        help="Runs with a higher priority go first.",
-    ),
+    priority_option,
     wait_option(
         "Wait for its end; otherwise queue it in the running lab and print the run's id.",
         default=True,
     ),
     lab_options,
     json_option,
-    click.option("--quiet", is_flag=True, help="Print only the end."),
+    quiet_option,
 )
 """The options of the three commands."""
 

@@ -62,12 +62,7 @@ def command(where: Where, run: str) -> None:
 
 
 def list_sentences(
-    state: LabState,
-    story: RunHistory,
-    now: int,
-    kernel: KernelWaits | None = None,
-    *,
-    searches: bool = False,
+    state: LabState, story: RunHistory, now: int, kernel: KernelWaits | None = None, *, searches: bool = False
 ) -> list[str]:
     """The present actions and waits of a run; ``kernel`` says more if one runs the lab. ``searches``: the lab
     looks for orders of its own."""

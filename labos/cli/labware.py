@@ -28,11 +28,7 @@ from labos.services.times import Moment, show_span, show_time
 @at_option
 @log_options
 def command(
-    where: Where,
-    labware: str | None,
-    gone: bool | None,
-    barcode: str | None,
-    moment: Moment,
+    where: Where, labware: str | None, gone: bool | None, barcode: str | None, moment: Moment
 ) -> None:
     """List all labware. With an ID, show the history of one piece: its stations and times, its owners, and
     the actions on it with user and module. Each entry names the event in the log.

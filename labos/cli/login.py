@@ -58,14 +58,7 @@ HOW = {
 @home_option
 @json_option
 def login(
-    url: str,
-    user: str,
-    device: bool,
-    code: bool,
-    port: int,
-    scope: str,
-    days: float,
-    home: str | None,
+    url: str, user: str, device: bool, code: bool, port: int, scope: str, days: float, home: str | None
 ) -> None:
     """Sign in to the lab at URL (LABOS_URL, or the lab in the folder). Later commands then run as you.
 

@@ -10,7 +10,15 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._options import find_user, json_option, lab_options, user_option
+from labos.cli._options import (
+    find_user,
+    json_option,
+    lab_options,
+    priority_option,
+    quiet_option,
+    simulate_option,
+    user_option,
+)
 from labos.cli._out import show_json, show_line, wants_json
 from labos.cli._payload import payload_option
 from labos.core.ids import local
@@ -30,7 +38,7 @@ if TYPE_CHECKING:
     metavar="NAME|FILE",
     help="The workcell (the lab's own; in a new lab the one beside the workflow's file, else rpl).",
 )
-@click.option("--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated.")
+@simulate_option
 @click.option(
     "--place",
     "placed",
@@ -40,12 +48,10 @@ if TYPE_CHECKING:
     "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option
-@click.option(
-    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
-)
+@priority_option
 @lab_options
 @json_option
-@click.option("--quiet", is_flag=True, help="Print only the end.")
+@quiet_option
 @click.option("--dry-run", is_flag=True, help="Show when it would start and end; submit nothing.")
 def command(
     workflow: str,

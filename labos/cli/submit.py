@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._complete import make_completer, name_option
-from labos.cli._options import Asker, asker_options, propose_option, wait_option
+from labos.cli._options import Asker, asker_options, priority_option, propose_option, wait_option
 from labos.cli._out import wants_json
 from labos.cli._payload import payload_option
 
@@ -16,9 +16,7 @@ from labos.cli._payload import payload_option
 @click.argument("workflow", shell_complete=make_completer("workflow"))
 @payload_option
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
-@click.option(
-    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
-)
+@priority_option
 @name_option("experiment", "ID", "The experiment to which the run belongs.")
 @click.option(
     "--request",
