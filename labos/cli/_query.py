@@ -16,6 +16,7 @@ from labos.cli._options import refuse_password
 from labos.cli._remote import folder_or_database, is_given, needs_folder
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
+from labos.errors import LabosError
 from labos.ports import BlobReader
 from labos.services.log import Log
 from labos.services.shown import ShownLog
@@ -127,6 +128,15 @@ def open_database(where: Where) -> Iterator[SqlEventStore]:
         yield store
     finally:
         store.close()
+
+
+def find_lab_id(where: Where) -> str:
+    """The id of the lab; empty if it has no log yet."""
+    try:
+        with open_log(where) as log:
+            return log.head().lab
+    except LabosError:
+        return ""
 
 
 def now_ns() -> int:

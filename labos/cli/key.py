@@ -6,8 +6,8 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._out import end_with_json, report_done
-from labos.cli._query import Where, log_and_json, now_ns, open_database
-from labos.errors import LabosError, NotFound
+from labos.cli._query import Where, find_lab_id, log_and_json, now_ns
+from labos.errors import NotFound
 from labos.services.times import iso_time
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.tree import read_tree
@@ -82,11 +82,6 @@ def rotate(where: Where) -> None:
 
 
 def _own_name(where: Where, witness: bool) -> str:
-    try:
-        with open_database(where) as store:
-            head = store.head()
-    except LabosError:
-        head = None
-    if head is None or not head.lab:
+    if not (lab := find_lab_id(where)):
         raise click.UsageError("There is no log yet, and so no default name for the key: give --name NAME.")
-    return f"labos/{head.lab}/witness" if witness else f"labos/{head.lab}"
+    return f"labos/{lab}/witness" if witness else f"labos/{lab}"

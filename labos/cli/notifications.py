@@ -11,7 +11,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, report_done, show_table
-from labos.cli._query import Where, json_option, log_and_json, log_options, open_log
+from labos.cli._query import Where, find_lab_id, log_and_json, log_options
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
@@ -37,8 +37,7 @@ LOOK_EVERY_S = 2.0
 @click.option(
     "--last", type=click.IntRange(min=1), default=50, show_default=True, help="The maximum number of entries."
 )
-@json_option
-@log_options
+@log_and_json
 @click.pass_context
 def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int) -> None:
     """List sent and unsent notifications. LabOS notifies contacts of questions, missed windows, unavailable
@@ -98,7 +97,8 @@ def test(where: Where, contact: str) -> None:
     if contact not in book.contacts:
         remedy = suggest_name(contact, book.contacts, "contact")
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
-    message = test_message(_find_lab_id(where), contact, SystemClock())
+    # A contact can be tested before there is a lab.
+    message = test_message(find_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
@@ -159,14 +159,6 @@ def _look(where: Where, notifier: Notifier) -> None:
 
 def _make_settings(where: Where) -> Settings:
     return Settings.make(where.home, where.url)
-
-
-def _find_lab_id(where: Where) -> str:
-    try:
-        with open_log(where) as store:
-            return store.head().lab
-    except LabosError:
-        return ""  # a contact can be tested before there is a lab
 
 
 def _list_facts(delivery: Delivery) -> dict[str, Any]:

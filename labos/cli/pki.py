@@ -11,8 +11,8 @@ import msgspec
 from labos.cli._group import Suggesting
 from labos.cli._options import pki_option, why_option
 from labos.cli._out import end_with_json, report_done
-from labos.cli._query import Where, log_and_json, now_ns, open_database
-from labos.errors import LabosError, NotFound
+from labos.cli._query import Where, find_lab_id, log_and_json, now_ns
+from labos.errors import NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
 from labos.services.times import show_time
 from labos.settings import Settings
@@ -197,21 +197,16 @@ def _make_identity(where: Where, kind: Any, name: str, lab: str | None) -> Party
         raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
         raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
-    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _find_lab_in(where))
+    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _expect_lab_id(where))
 
 
-def _find_lab_in(where: Where) -> str:
-    try:
-        with open_database(where) as store:
-            found = store.head().lab
-    except LabosError:
-        found = None
-    if not found:
+def _expect_lab_id(where: Where) -> str:
+    if not (found := find_lab_id(where)):
         raise NotFound(
             "There is no log yet, so the lab's id is unknown.",
             remedy="Start the lab once (labos up … --secure), or give its id: --lab-id ID.",
         )
-    return str(found)
+    return found
 
 
 def _describe_state(entry: CertificateEntry) -> str:
