@@ -155,15 +155,20 @@ def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
     @wraps(command)
-    def wrap(*args: Any, home: str | None, user: str | None = None, **options: Any) -> Any:
-        return command(*args, asker=Asker(user, home), **options)
+    def wrap(*args: Any, home: str | None, **options: Any) -> Any:
+        return command(*args, asker=Asker(None, home), **options)
 
     return home_option(json_option(wrap))
 
 
 def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
-    return user_option(lab_and_json(command))
+
+    @wraps(command)
+    def wrap(*args: Any, user: str | None, home: str | None, **options: Any) -> Any:
+        return command(*args, asker=Asker(user, home), **options)
+
+    return user_option(home_option(json_option(wrap)))
 
 
 lab_options = options_together(

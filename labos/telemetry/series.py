@@ -38,6 +38,8 @@ class LabMetric:
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         self.name, self.help, self.labels, self.most = name, help, labels, most
         self._prefixes: dict[Labels, str] = {}
+        self._changed: dict[Labels, bool] = {}
+        self._lines: dict[Labels, str] = {}
         self._rest = (OTHER,) * len(labels)
 
     @property
@@ -47,6 +49,13 @@ class LabMetric:
 
     def lines(self) -> Iterable[str]:
         """The series in Prometheus' text format, without their head."""
+        for key in self._changed:
+            self._lines[key] = self._write(key)
+        self._changed.clear()
+        return self._lines.values()
+
+    def _write(self, key: Labels) -> str:
+        """The lines of one set of labels."""
         raise NotImplementedError
 
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
@@ -72,7 +81,9 @@ class _NumberMetric(LabMetric):
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         super().__init__(name, help, labels, most=most)
         self._values: dict[Labels, float] = {}
-        self._lines: dict[Labels, str] = {}
+
+    def _write(self, key: Labels) -> str:
+        return _line(self.name, self._prefixes[key], self._values[key])
 
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
         for key, value in self._values.items():
@@ -86,7 +97,6 @@ class CounterMetric(_NumberMetric):
 
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         super().__init__(name, help, labels, most=most)
-        self._changed: dict[Labels, bool] = {}
         if not labels:
             self.begin()
 
@@ -103,12 +113,6 @@ class CounterMetric(_NumberMetric):
     def value(self, key: Labels = ()) -> float:
         return self._values.get(key, 0.0)
 
-    def lines(self) -> Iterable[str]:
-        for key in self._changed:
-            self._lines[key] = _line(self.name, self._prefixes[key], self._values[key])
-        self._changed.clear()
-        return self._lines.values()
-
 
 class GaugeMetric(_NumberMetric):
     """A present value. ``replace`` sets all series; those that it does not name are removed."""
@@ -119,12 +123,13 @@ class GaugeMetric(_NumberMetric):
         if self._values.get(key) != value:
             key = self._labels_of(key)
             self._values[key] = value
-            self._lines[key] = _line(self.name, self._prefixes[key], value)
+            self._changed[key] = True
 
     def replace(self, values: Mapping[Labels, float]) -> None:
-        if self._values.keys() - values.keys():
-            for key in [key for key in self._values if key not in values]:
-                del self._values[key], self._lines[key], self._prefixes[key]
+        for key in self._values.keys() - values.keys():
+            del self._values[key], self._prefixes[key]
+            self._changed.pop(key, None)
+            self._lines.pop(key, None)
         rest = 0.0
         for key, value in values.items():
             if self._values.get(key) == value:
@@ -139,9 +144,6 @@ class GaugeMetric(_NumberMetric):
     def clear(self) -> None:
         """Remove all series."""
         self.replace({})
-
-    def lines(self) -> Iterable[str]:
-        return self._lines.values()
 
 
 class ComputedCounter(GaugeMetric):
@@ -179,8 +181,6 @@ class Distribution(LabMetric):
         self.kind = "histogram" if bounds else "summary"
         self.bounds = tuple(bounds)
         self._heaps: dict[Labels, _Observations] = {}
-        self._changed: dict[Labels, bool] = {}
-        self._lines: dict[Labels, str] = {}
         if not labels:
             self.begin()
 
@@ -205,16 +205,13 @@ class Distribution(LabMetric):
         heap.total += value
         self._changed[key] = True
 
-    def lines(self) -> Iterable[str]:
-        for key in self._changed:
-            prefix = self._prefixes[key]
-            rows = (
-                _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
-                for name, more, value in self._list_points(self._heaps[key])
-            )
-            self._lines[key] = "\n".join(rows)
-        self._changed.clear()
-        return self._lines.values()
+    def _write(self, key: Labels) -> str:
+        prefix = self._prefixes[key]
+        rows = (
+            _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
+            for name, more, value in self._list_points(self._heaps[key])
+        )
+        return "\n".join(rows)
 
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
         for key, heap in self._heaps.items():

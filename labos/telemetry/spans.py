@@ -95,16 +95,18 @@ class SpanRecorder:
         self._lab = ""
         self._runs: dict[RunId, _OpenRun] = {}
         self._actions: dict[ActionId, _OpenAction] = {}
-        self._handlers = list_handlers(vars(SpanRecorder), None, "_on_", ("event", "at", "durable_at"))
+        self._handlers = list_handlers(vars(SpanRecorder), None, "_on_")
+        self._durable_at = 0
+        """When the events were committed that are handled now."""
 
     # -- called by the kernel ------------------------------------------------------------------
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
-        durable_at = self._now()
+        self._durable_at = self._now()
         for entry in entries:
             handler = self._handlers.get(type(entry.event))
             if handler is not None:
-                handler(self, entry.event, entry.record.head.recorded_at, durable_at)
+                handler(self, entry.event, entry.record.head.recorded_at)
 
     def on_reopened(self) -> None:
         self.begin_with(self._state())
@@ -127,18 +129,18 @@ class SpanRecorder:
 
     # -- runs ----------------------------------------------------------------------------------
 
-    def _on_submitted(self, event: r.RunSubmitted, at: int, durable_at: int) -> None:
+    def _on_submitted(self, event: r.RunSubmitted, at: int) -> None:
         self._lab = self._lab or self._state().lab.id
         self._runs[event.run] = _OpenRun(event.workflow, _attributes_of(event), at)
 
-    def _on_started(self, event: r.RunStarted, at: int, durable_at: int) -> None:
+    def _on_started(self, event: r.RunStarted, at: int) -> None:
         run = self._runs.get(event.run)
         if run is not None:
             run.keys = self._list_keys(event.run)
             trace, parent = self._make_trace_id(event.run), self._make_id("run", event.run)
             self._emit_span(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
 
-    def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return
@@ -182,27 +184,26 @@ class SpanRecorder:
 
     # -- actions -------------------------------------------------------------------------------
 
-    def _on_requested(self, event: ActionRequested, at: int, durable_at: int) -> None:
+    def _on_requested(self, event: ActionRequested, at: int) -> None:
         attributes = _action_attributes(event.action, event.module, event.name, event.attempt)
         name = _name(event.module, event.name)
-        self._actions[event.action] = _OpenAction(event.run, event.step, name, attributes, at, durable_at)
+        self._actions[event.action] = _OpenAction(
+            event.run, event.step, name, attributes, at, self._durable_at
+        )
         self._begin_step(event.run, event.step, at)
 
-    def _on_accepted(self, event: ActionAccepted, at: int, durable_at: int) -> None:
+    def _on_accepted(self, event: ActionAccepted, at: int) -> None:
         action = self._actions.get(event.action)
         if action is not None:
             action.accepted_at = at
 
-    def _on_reported(self, event: ActionReported, at: int, durable_at: int) -> None:
+    def _on_reported(self, event: ActionReported, at: int) -> None:
         action = self._actions.get(event.action)
         if action is not None:
             action.device_ended_at = event.ended_ns
 
     def _on_ended(
-        self,
-        event: ActionSucceeded | ActionFailed | ActionRejected | ActionUnknown,
-        at: int,
-        durable_at: int,
+        self, event: ActionSucceeded | ActionFailed | ActionRejected | ActionUnknown, at: int
     ) -> None:
         action = self._actions.pop(event.action, None)
         if action is None:
@@ -213,7 +214,7 @@ class SpanRecorder:
         attempt = ("attempt", event.action, action.attributes["labos.attempt"])
         trace = self._make_trace_id(action.run or event.action)
         parent = self._make_id("step", action.run, action.step) if action.run else 0
-        end = max(at, durable_at)
+        end = max(at, self._durable_at)
         self._emit_span(trace, attempt, parent, action.name, action.requested_at, end, attributes, error)
         self._emit_parts(trace, attempt, action, at, end)
         run = self._runs.get(action.run)
@@ -223,7 +224,7 @@ class SpanRecorder:
             if not error:
                 self._end_step(action.run, run, action.step, run.steps.pop(action.step))
 
-    def _on_reconciled(self, event: ActionReconciled, at: int, durable_at: int) -> None:
+    def _on_reconciled(self, event: ActionReconciled, at: int) -> None:
         """End the step here. The span of its action ended when the outcome became unknown."""
         run = self._runs.get(event.run)
         step = run.steps.get(event.step) if run is not None else None
