@@ -32,9 +32,7 @@ def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, a
 
 
 def on_amended(rows: RowChanges, event: c.CampaignAmended, head: Envelope, at: float) -> None:
-    row = rows.change(CAMPAIGNS, event.campaign)
-    if row is not None:
-        set_terms(row, event.terms)
+    set_terms(rows.change(CAMPAIGNS, event.campaign), event.terms)
 
 
 def set_terms(row: Row, terms: c.Terms) -> None:
@@ -61,7 +59,7 @@ def on_cancelled(rows: RowChanges, event: c.CampaignCancelled, head: Envelope, a
 
 def on_completed(rows: RowChanges, event: c.CampaignCompleted, head: Envelope, at: float) -> None:
     row = rows.update(CAMPAIGNS, event.campaign, ended_at_s=at, ended_position=head.position)
-    if row is not None and row["status"] not in ("stopped", "cancelled"):
+    if row["status"] not in ("stopped", "cancelled"):
         row["status"], row["why"] = "completed", event.why
 
 
@@ -72,22 +70,15 @@ def on_archived(
 
 
 def on_row_refused(rows: RowChanges, event: c.CampaignRowRefused, head: Envelope, at: float) -> None:
-    row = rows.change(CAMPAIGNS, event.campaign)
-    if row is not None:
-        row["refused"] += 1
+    rows.change(CAMPAIGNS, event.campaign)["refused"] += 1
 
 
 def on_run_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
-    row = rows.change(CAMPAIGNS, event.campaign) if event.campaign else None
-    if row is not None:
-        row["runs"] += 1
+    rows.change(CAMPAIGNS, event.campaign)["runs"] += 1
 
 
 def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
-    run = rows.get(RUNS, event.run)
-    row = rows.change(CAMPAIGNS, run["campaign"]) if run is not None and run["campaign"] else None
-    if row is None:
-        return
+    row = rows.change(CAMPAIGNS, rows.get(RUNS, event.run)["campaign"])
     match event:
         case r.RunCompleted():
             row["completed"] += 1

@@ -42,10 +42,8 @@ def on_samples_registered(
 ) -> None:
     """Add a sample sheet. A sheet that is too long for the log is a blob; if the blob is lost, its rows are
     missing."""
-    row = rows.change(LABWARE, event.labware)
     samples = event.wells or _unpack(blobs, event.blob)
-    if row is not None:
-        row["samples"] = {item.well: item.sample for item in samples}
+    rows.update(LABWARE, event.labware, samples={item.well: item.sample for item in samples})
     for number, item in enumerate({item.well: item for item in samples}.values()):
         about = (event.labware, item.well, item.sample, item.volume_ul, event.sheet, head.actor)
         rows.add(SAMPLES, head.position, at, *about)
@@ -86,16 +84,16 @@ def _change(
 ) -> None:
     """Change a level, with the same fold as the lab itself."""
     row = rows.change(RESOURCES, event.module, event.resource)
+    if not row["module"]:
+        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
     held = s.Resources()
     key = f"{event.module}:{event.resource}"
-    if row is not None and row["level"] is not None:
+    if row["level"] is not None:
         lots = msgspec.convert(row["lots"], list[s.Lot])
         held.levels[key] = s.Level(row["level"], row["capacity"], lots)
     if key in held.levels or isinstance(event, s.LevelSet):
         fold(held, event, 0)
     level = held.find(ModuleName(event.module), event.resource)
-    if row is None:
-        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
     if level is not None:
         row["level"], row["capacity"] = level.level, level.capacity
         row["lots"] = msgspec.to_builtins(level.lots)

@@ -23,7 +23,7 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
 
 def _change_person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
-    if person is None:
+    if not person["user_id"]:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
         person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
     person["last_at_s"] = at
@@ -31,7 +31,9 @@ def _change_person(rows: RowChanges, user: str, at: float) -> Row:
 
 
 def on_erased(rows: RowChanges, event: UserErased, head: Envelope, at: float) -> None:
-    row = rows.change(USERS, event.user) or _change_person(rows, event.user, at)
+    row = rows.change(USERS, event.user)
+    if not row["user_id"]:
+        row = _change_person(rows, event.user, at)
     row["erased_at_s"] = at
 
 
@@ -77,14 +79,12 @@ def on_cancelled(
     rows: RowChanges, event: x.ExperimentCancelled | x.ExperimentClosing, head: Envelope, at: float
 ) -> None:
     row = rows.change(EXPERIMENTS, event.experiment)
-    if row is not None:
-        row["status"] = "closing" if isinstance(event, x.ExperimentClosing) else "cancelled"
-        row["why"] = row["why"] or event.why
+    row["status"] = "closing" if isinstance(event, x.ExperimentClosing) else "cancelled"
+    row["why"] = row["why"] or event.why
 
 
 def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
     row = rows.update(
         EXPERIMENTS, event.experiment, status="ended", ended_at_s=at, ended_position=head.position
     )
-    if row is not None:
-        row["why"] = row["why"] or event.why
+    row["why"] = row["why"] or event.why
