@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import cert_option, file_option, home_option, json_option, pki_option
+from labos.cli._options import cert_option, file_option, folder_home_option, json_option, pki_option
 from labos.cli._out import report_done
 from labos.errors import BadInput, SystemFailed
 from labos.settings import Settings, last_kernel
@@ -40,7 +40,7 @@ from labos.version import VERSION
 )
 @cert_option
 @pki_option
-@home_option
+@folder_home_option
 @json_option
 def install(
     module: str,

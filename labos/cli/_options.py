@@ -13,7 +13,7 @@ import msgspec
 from click.core import ParameterSource
 
 from labos.cli._out import note_json
-from labos.cli._remote import folder_if_needed
+from labos.cli._remote import expect_folder
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -64,12 +64,9 @@ def folder_option(*names: str, metavar: str = "FOLDER", **more: Any) -> Callable
     return click.option(*names, type=click.Path(path_type=Path, file_okay=False), metavar=metavar, **more)
 
 
-home_option = click.option(
-    "--home",
-    metavar="DIR",
-    help="The lab's folder (LABOS_HOME; ./lab if neither is given).",
-    callback=folder_if_needed,
-)
+_HOME_HELP = "The lab's folder (LABOS_HOME; ./lab if neither is given)."
+home_option = click.option("--home", metavar="DIR", help=_HOME_HELP)
+folder_home_option = click.option("--home", metavar="DIR", help=_HOME_HELP, callback=expect_folder)
 database_option = click.option(
     "--database",
     metavar="URL",

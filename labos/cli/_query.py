@@ -13,7 +13,7 @@ import msgspec
 
 from labos.cli._options import json_option as json_option
 from labos.cli._options import refuse_password
-from labos.cli._remote import folder_or_database, is_given, needs_folder
+from labos.cli._remote import expect_folder_or_database, is_given
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
 from labos.errors import LabosError
@@ -64,12 +64,13 @@ def read_kernel_file(home: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def log_options(command: F) -> F:
-    """``--home`` and ``--database``; the command gets ``where: Where``."""
+def log_options(command: F, *, needs_folder: bool = False) -> F:
+    """``--home`` and ``--database``; the command gets ``where: Where``, with the lab that LABOS_URL names
+    unless it ``needs_folder``."""
 
     @wraps(command)
     def wrap(*args: Any, home: Path, database: str | None, **options: Any) -> Any:
-        here = needs_folder() or is_given("home") or is_given("database")
+        here = needs_folder or is_given("home") or is_given("database")
         lab = "" if here else lab_url()
         return command(*args, where=Where(home, database or "", lab), **options)
 
@@ -88,13 +89,23 @@ def log_options(command: F) -> F:
         default=Path("lab"),
         show_default=True,
         help="The lab's folder.",
-        callback=folder_or_database,
+        callback=expect_folder_or_database if needs_folder else None,
     )(wrapped)
 
 
 def log_and_json(command: F) -> F:
     """``--json``, ``--home`` and ``--database``; the command gets ``where: Where``."""
     return json_option(log_options(command))
+
+
+def folder_options(command: F) -> F:
+    """As ``log_options``, for a command that works on files of a lab."""
+    return log_options(command, needs_folder=True)
+
+
+def folder_and_json(command: F) -> F:
+    """``folder_options`` with ``--json``."""
+    return json_option(folder_options(command))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json
 from labos.cli._query import (
     Where,
-    log_and_json,
+    folder_and_json,
     now_ns,
     open_database,
     read_kernel_file,
@@ -50,7 +50,7 @@ archive_option = folder_option(
     help="With --move-old: keep segments with an event from the last N days.",
 )
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None
 ) -> None:

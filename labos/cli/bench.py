@@ -12,7 +12,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
 from labos.cli._out import end_with_json, show_json, wants_json
-from labos.cli._query import Where, log_and_json, log_options, open_database, open_log
+from labos.cli._query import Where, folder_and_json, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
 from labos.services.describe import describe_counts
@@ -61,7 +61,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
 
 
 @command.command("show")
-@log_and_json
+@folder_and_json
 def show(where: Where) -> None:
     """Show the true state of a simulated bench, and where it differs from the log (exit code 1). The command
     works with and without a running lab, and changes nothing.

@@ -9,7 +9,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option
 from labos.cli._out import report_done
-from labos.cli._query import Where, log_and_json, open_database
+from labos.cli._query import Where, folder_and_json, open_database
 from labos.errors import NotFound, SystemFailed
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
@@ -31,7 +31,7 @@ from labos.store import create_file, open_blobs
 @click.option(
     "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
 )
-@log_and_json
+@folder_and_json
 def command(where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool) -> None:
     """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
     checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the

@@ -7,7 +7,7 @@ import threading
 import click
 
 from labos.cli._out import show_json, wants_json
-from labos.cli._query import Where, log_and_json, now_ns, open_database
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
 from labos.services.trust.keys import read_given_keys
@@ -61,7 +61,7 @@ POLL_S = 2.0
     metavar="SECONDS",
     help="With --follow: write a checkpoint after this time at the latest, if there is a new event.",
 )
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     places: tuple[str, ...],

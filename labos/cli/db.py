@@ -8,7 +8,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._out import end_with_json, report_done
-from labos.cli._query import Where, log_and_json, log_options, now_ns, open_log
+from labos.cli._query import Where, folder_and_json, folder_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
@@ -40,7 +40,7 @@ def command() -> None:
 
 
 @command.command("status")
-@log_and_json
+@folder_and_json
 def status(where: Where) -> None:
     """Show revision, size, end of the log, and whether a kernel runs. Exit code 1 if this version of LabOS
     cannot use the database as it is."""
@@ -61,7 +61,7 @@ def status(where: Where) -> None:
 
 
 @command.command("upgrade")
-@log_and_json
+@folder_and_json
 def upgrade(where: Where) -> None:
     """Upgrade an older or empty database to this version of LabOS. The command is refused while a kernel
     runs. It never changes a database of a newer LabOS."""
@@ -85,7 +85,7 @@ def upgrade(where: Where) -> None:
 
 
 @command.command("restored")
-@log_and_json
+@folder_and_json
 def record_restored(where: Where) -> None:
     """Record that this database was restored from a copy that another program than labos backup made. The
     next kernel has a higher epoch than the nodes have ever seen. It starts no action until a person has
@@ -102,7 +102,7 @@ def record_restored(where: Where) -> None:
 
 @command.command("writer")
 @click.argument("role")
-@log_options
+@folder_options
 def writer(where: Where, role: str) -> None:
     """Grant ROLE the rights that a kernel needs on this PostgreSQL database. The role may append records to
     the log, but not change or delete them. Run this command with the owner's URL (--database). Then let
@@ -115,7 +115,7 @@ def writer(where: Where, role: str) -> None:
 
 
 @command.command("scrub")
-@log_and_json
+@folder_and_json
 def scrub(where: Where) -> None:
     """Remove all traces of erased texts from the database's files. `labos erase` does this itself. Use this
     command if `labos erase` reports that traces are left. On PostgreSQL it rewrites the table of texts. The
@@ -133,7 +133,7 @@ def scrub(where: Where) -> None:
 
 
 @command.command("url")
-@log_and_json
+@folder_and_json
 def url(where: Where) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""

@@ -7,7 +7,7 @@ import click
 from labos.audit.difference import list_differences
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import AT_HELP, Where, as_moment, log_and_json
+from labos.cli._query import AT_HELP, Where, as_moment, folder_and_json
 from labos.errors import BadInput
 from labos.services.history import find_position_at
 from labos.services.times import Moment
@@ -18,7 +18,7 @@ from labos.services.times import Moment
 @click.option(
     "--until", "last", metavar="TIME|POSITION", callback=as_moment, help="A later moment; now if not given."
 )
-@log_and_json
+@folder_and_json
 def command(where: Where, first: Moment, last: Moment) -> None:
     """Show the differences of the lab between two moments: places of labware, runs, levels of resources,
     questions to people, and versions of drivers.

@@ -12,7 +12,7 @@ import click
 
 from labos.cli._exit import DONE, FAILED
 from labos.cli._out import end_with_json
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._query import Where, folder_and_json, now_ns, open_log
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
@@ -44,7 +44,7 @@ LONG_AGO_S = 7 * 86_400.0
 
 
 @click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
-@log_and_json
+@folder_and_json
 def command(where: Where) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
     calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with

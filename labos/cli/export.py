@@ -24,7 +24,7 @@ from labos.cli._out import report_done
 from labos.cli._query import (
     Where,
     as_moment,
-    log_and_json,
+    folder_and_json,
     log_options,
     now_ns,
     open_contents,
@@ -74,7 +74,7 @@ def command() -> None:
 @click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
 @click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
 @file_option("--program", help="The source file of the experiment's application, to add to the crate.")
-@log_and_json
+@folder_and_json
 def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, program: Path | None) -> None:
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.

@@ -6,7 +6,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._out import end_with_json, report_done
-from labos.cli._query import Where, find_lab_id, log_and_json, now_ns
+from labos.cli._query import Where, find_lab_id, folder_and_json, now_ns
 from labos.errors import NotFound
 from labos.services.times import iso_time
 from labos.services.trust.keys import SigningKeys
@@ -40,7 +40,7 @@ def command() -> None:
     help="The name of the key, such as chem.example.org/lab1 (default: labos/ and the id of the lab).",
 )
 @witness_option
-@log_and_json
+@folder_and_json
 def create(where: Where, name: str | None, witness: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
@@ -49,7 +49,7 @@ def create(where: Where, name: str | None, witness: bool) -> None:
 
 @command.command("show")
 @witness_option
-@log_and_json
+@folder_and_json
 def show(where: Where, witness: bool) -> None:
     """Print the public key. --json also shows the keys that it replaced."""
     keys = SigningKeys(where.home)
@@ -65,7 +65,7 @@ def show(where: Where, witness: bool) -> None:
 
 
 @command.command("rotate")
-@log_and_json
+@folder_and_json
 def rotate(where: Where) -> None:
     """Replace the key pair. The old private key signs the new public key and is then destroyed. Bundles
     contain this signature, so a person with the old public key can still check them."""

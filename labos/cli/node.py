@@ -13,7 +13,16 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
-from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
+from labos.cli._options import (
+    Asker,
+    asker_options,
+    cert_option,
+    find_user,
+    folder_home_option,
+    json_option,
+    user_option,
+    why_option,
+)
 from labos.cli._out import end_with_json, report_done
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
@@ -48,7 +57,7 @@ def command() -> None:
 )
 @click.option("--secure", is_flag=True, help="Connect only to a secure bus (tls/HOST:PORT).")
 @cert_option
-@home_option
+@folder_home_option
 @click.option(
     "--with-parent",
     is_flag=True,
@@ -133,8 +142,12 @@ def _expect_home(settings: Settings, named: str | None) -> None:
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
 @why_option("The reason, for the journal.", required=True)
-@asker_options
-def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, asker: Asker) -> None:
+@user_option
+@folder_home_option
+@json_option
+def reset_epoch(
+    module: str, epoch: int | None, position: int | None, why: str, user: str | None, home: str | None
+) -> None:
     """Correct a wrong number in MODULE's journal: an epoch that no kernel of the lab ever had, or an
     acknowledged position that the lab's log never reached.
 
@@ -151,10 +164,10 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
 
     if epoch is None and position is None:
         raise click.UsageError("Give the number to correct: --epoch, --position or both.")
-    path = Settings.make(asker.home).journal(module)
+    path = Settings.make(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(find_user(user)), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
     report_done(f"{path}: {now} (it was {was}).", facts)
 
@@ -180,7 +193,7 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
 @command.command("accept-unit")
 @click.argument("module")
 @click.argument("serial", required=False, default="")
-@home_option
+@folder_home_option
 @json_option
 def accept_unit(module: str, serial: str, home: str | None) -> None:
     """Accept another unit as the device of MODULE: the unit with this SERIAL number, or without SERIAL the

@@ -11,7 +11,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, report_done, show_table
-from labos.cli._query import Where, find_lab_id, log_and_json, log_options
+from labos.cli._query import Where, find_lab_id, folder_and_json, folder_options
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
@@ -37,7 +37,7 @@ LOOK_EVERY_S = 2.0
 @click.option(
     "--last", type=click.IntRange(min=1), default=50, show_default=True, help="The maximum number of entries."
 )
-@log_and_json
+@folder_and_json
 @click.pass_context
 def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int) -> None:
     """List sent and unsent notifications. LabOS notifies contacts of questions, missed windows, unavailable
@@ -82,7 +82,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 
 @command.command("test")
 @click.argument("contact")
-@log_and_json
+@folder_and_json
 def test(where: Where, contact: str) -> None:
     """Send a test message to CONTACT now, also in quiet hours, and report whether it was accepted.
 
@@ -106,7 +106,7 @@ def test(where: Where, contact: str) -> None:
 
 
 @command.command("watch")
-@log_options
+@folder_options
 def watch(where: Where) -> None:
     """Send notifications from a separate process, until Ctrl-C. It also notifies you if the kernel is dead.
 

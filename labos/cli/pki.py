@@ -11,7 +11,7 @@ import msgspec
 from labos.cli._group import Suggesting
 from labos.cli._options import pki_option, why_option
 from labos.cli._out import end_with_json, report_done
-from labos.cli._query import Where, find_lab_id, log_and_json, now_ns
+from labos.cli._query import Where, find_lab_id, folder_and_json, now_ns
 from labos.errors import NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
 from labos.services.times import show_time
@@ -58,7 +58,7 @@ def command() -> None:
 )
 @days_option
 @pki_option
-@log_and_json
+@folder_and_json
 def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> None:
     """Create the authority. This is done once. With its private key (ca.key) a person can act as any kernel
     or node, so keep it secret. You can store it offline. It is needed only to issue, renew and revoke."""
@@ -79,7 +79,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> N
 @days_option
 @lab_option
 @pki_option
-@log_and_json
+@folder_and_json
 def issue(
     where: Where,
     kind: Any,
@@ -126,7 +126,7 @@ def issue(
 )
 @lab_option
 @pki_option
-@log_and_json
+@folder_and_json
 def admit(
     where: Where, kind: Any, name: str, certificate: Path, key: Path, lab: str | None, pki: Path | None
 ) -> None:
@@ -143,7 +143,7 @@ def admit(
 
 @command.command("list")
 @pki_option
-@log_and_json
+@folder_and_json
 def list_(where: Where, pki: Path | None) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _find_authority(where, pki)
@@ -160,7 +160,7 @@ def list_(where: Where, pki: Path | None) -> None:
 @address_option
 @days_option
 @pki_option
-@log_and_json
+@folder_and_json
 def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, pki: Path | None) -> None:
     """Issue a new key and certificate for NAME, with the same common name. If another computer uses them,
     copy the folder again; a node there detects the change by itself. The kernel renews its own
@@ -174,7 +174,7 @@ def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, p
 @click.argument("name")
 @why_option("The reason, for the list.", required=True)
 @pki_option
-@log_and_json
+@folder_and_json
 def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     """Revoke the certificate NAME. A running lab or bus refuses it within two seconds. If the bus is on
     another computer, copy its folder again. The command also writes a revocation list (crl.pem) for other

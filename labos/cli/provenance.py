@@ -10,7 +10,7 @@ from labos.audit.graph import Entity, Graph, ProvenancePart
 from labos.audit.provenance import MOST_LINKS, subject_of, trace
 from labos.cli._audit import open_log_and_views
 from labos.cli._out import show_json, show_table, wants_json
-from labos.cli._query import Where, at_option, json_option, log_options
+from labos.cli._query import Where, at_option, folder_options, json_option
 from labos.services.describe import shorten_value
 from labos.services.history import find_position_at
 from labos.services.times import Moment
@@ -34,7 +34,7 @@ from labos.services.times import Moment
 @click.option("--prov", "as_prov_json", is_flag=True, help="Print W3C PROV-JSON (extra `provenance`).")
 @click.option("--dot", "as_graphviz", is_flag=True, help="Print a graph for Graphviz.")
 @at_option
-@log_options
+@folder_options
 def command(
     where: Where,
     subject: str,

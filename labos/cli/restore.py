@@ -12,7 +12,7 @@ from labos.cli._options import file_option
 from labos.cli._out import end_with_json
 from labos.cli._query import (
     Where,
-    log_and_json,
+    folder_and_json,
     now_ns,
     open_database,
     read_kernel_file,
@@ -86,7 +86,7 @@ class Restored(msgspec.Struct, frozen=True):
 )
 @archive_option
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     folder: Path,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import home_option, json_option
+from labos.cli._options import folder_home_option, json_option
 from labos.cli._out import report_done
 from labos.errors import NotFound, Refused, SystemFailed
 
@@ -31,7 +31,7 @@ POLL_S = 0.02
     metavar="SECONDS",
     help="How long to wait until the standby has taken over.",
 )
-@home_option
+@folder_home_option
 @json_option
 def command(home: str | None, wait_s: float) -> None:
     """Stop the kernel on this computer, and let its standby take over the lab at once. Runs continue and

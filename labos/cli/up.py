@@ -12,8 +12,8 @@ from labos.cli._complete import make_completer
 from labos.cli._options import (
     address_option,
     database_option,
+    folder_home_option,
     folder_option,
-    home_option,
     pki_option,
     speed_option,
     web_options,
@@ -40,7 +40,7 @@ NO_USERS = (
     help="Use a simulated bench or the real one. Required for a new lab; an existing lab keeps its setting.",
 )
 @speed_option
-@home_option
+@folder_home_option
 @database_option
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free port if not given).")
 @click.option(

@@ -13,7 +13,7 @@ import msgspec
 
 from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json, show_json, wants_json
-from labos.cli._query import Where, log_and_json, open_database
+from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
@@ -96,7 +96,7 @@ CAVEAT = (
 @file_option("--tsa", help="With --bundle: check the time stamp against the certificates in this PEM file.")
 @archive_option
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     file: Path | None,
