@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_table
+from labos.cli._out import show_lines, show_table
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.state import LabState
@@ -103,8 +103,7 @@ def show(sight: BenchView) -> None:
         click.echo(f"The log agrees (after event {sight.position}).")
     else:
         click.echo(f"The log differs (after event {sight.position}):")
-        for found in sight.differs:
-            click.echo(f"- {found}")
+        show_lines(sight.differs, "- ")
     if sight.asked:
         click.echo(f"A person is asked: {', '.join(sight.asked)} (labos interventions).")
 

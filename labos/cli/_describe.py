@@ -10,7 +10,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table, wants_json
+from labos.cli._out import show_json, show_lines, show_table, wants_json
 
 if TYPE_CHECKING:
     from labos.spec.description import DescriptionFile, MovesEntry, PlaceEntry
@@ -45,8 +45,7 @@ def describe_command(driver: str, variant: str, urdf: str | None) -> None:
         if wants_json():
             show_json({"written": [str(path) for path in written]})
         else:
-            for path in written:
-                click.echo(f"wrote {path}")
+            show_lines(written, "wrote ")
     elif wants_json():
         show_json(make_plain(file))
     else:

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from labos.cli._out import show_table
+from labos.cli._out import show_lines, show_table
 from labos.services.times import show_span
 
 DELAYS_SHOWN = 10
@@ -112,8 +112,7 @@ def show_change(found: Mapping[str, Any]) -> None:
         click.echo(f"delays:      {len(delays) - DELAYS_SHOWN} more runs")
     if not delays:
         click.echo("delays:      nobody")
-    for conflict in found["conflicts"]:
-        click.echo(f"conflict:    {conflict}")
+    show_lines(found["conflicts"], "conflict:    ")
 
 
 def show_touches(found: Mapping[str, Any]) -> None:

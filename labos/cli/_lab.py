@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
+from labos.cli._out import show_lines
 from labos.cli._remote import lab_of
 from labos.client import LabClient
 from labos.errors import NotFound
@@ -46,8 +45,7 @@ def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> Compi
 
     uses = None if workflows is None else read_uses(workflows)
     cell = load_workcell(find_workcell_file(name), descriptions(), uses)
-    for finding in cell.findings:
-        click.echo(f"labos: {finding}", err=True)
+    show_lines(cell.findings, "labos: ", err=True)
     return cell
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -40,6 +40,12 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
     widths = [max(len(line[at]) for line in lines) for at in range(len(columns))]
     for line in lines:
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def show_lines(lines: Iterable[object], begin: str = "", *, err: bool = False) -> None:
+    """Each on a line of its own, which begins with ``begin``; with ``err`` on standard error."""
+    for line in lines:
+        click.echo(f"{begin}{line}", err=err)
 
 
 def show_parts(parts: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines
 from labos.errors import BadInput
 from labos.services.log import Log
 from labos.services.trust.compare import CheckpointComparison, compare, read_tree_heads
@@ -41,8 +41,7 @@ def verify_bundle(file: Path, trust: Trust) -> None:
     facts = {"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found}
     end_with_json(facts, int(bool(found.faults)))
     for part in found.parts:
-        for line in part.faults or (part.told,):
-            click.echo(line)
+        show_lines(part.faults or (part.told,))
     if found.faults:
         click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
         click.get_current_context().exit(1)

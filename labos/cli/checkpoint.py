@@ -6,7 +6,7 @@ import threading
 
 import click
 
-from labos.cli._out import show_json, wants_json
+from labos.cli._out import show_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
@@ -138,7 +138,5 @@ def _report_checkpoint(made: PublishResult) -> None:
     signed = ", ".join(signature.name for signature in made.note.signatures)
     click.echo(f"{show_time(now_ns())}: checkpoint of size {made.head.size}, signed by {signed}.")
     click.echo(f"Root {made.head.root.hex()}{', time-stamped' if made.stamped else ''}")
-    for place in made.written:
-        click.echo(f"Kept in {place}")
-    for fault in made.faults:
-        click.echo(f"labos: {fault}", err=True)
+    show_lines(made.written, "Kept in ")
+    show_lines(made.faults, "labos: ", err=True)

@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
-from labos.cli._out import end_with_json, wants_json
+from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -88,8 +88,7 @@ def _show(report: Report) -> None:
     from labos.torture import MEANING
 
     click.echo(f"{report.driver} {report.version}: {report.badge} ({MEANING[report.badge]})")
-    for line in report.evidence:
-        click.echo(f"  evidence: {line}")
+    show_lines(report.evidence, "  evidence: ")
     if report.limits:
         click.echo(f"  no higher badge, because {report.limits}")
 
@@ -123,8 +122,7 @@ def new_command(name: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     end_with_json({"written": [str(path) for path in files]})
-    for path in files:
-        click.echo(f"wrote {path}")
+    show_lines(files, "wrote ")
     click.echo("Next:")
     click.echo(f"  pip install -e {shlex.quote(f'{folder.absolute()}[test]')}")
     click.echo(f"  labos driver torture {package}")

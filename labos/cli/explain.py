@@ -7,7 +7,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import has_kernel, open_current_log
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines
 from labos.cli._query import Where, log_and_json, now_ns
 from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
@@ -56,8 +56,7 @@ def command(where: Where, run: str) -> None:
             click.echo("It has no active and no waiting runs.")
     for story, waits in zip(stories, now_of, strict=True):
         click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
-        for sentence in waits:
-            click.echo(f"- {sentence}")
+        show_lines(waits, "- ")
         click.echo(describe_progress(story))
 
 

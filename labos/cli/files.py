@@ -9,7 +9,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._liveness import open_current_log
-from labos.cli._out import end_with_json, show_table
+from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._query import (
     Where,
     at_option,
@@ -101,8 +101,7 @@ def command(
         with open_contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
         end_with_json({"written": written})
-        for path in written if to != "-" else ():
-            click.echo(f"wrote {path}")
+        show_lines(written if to != "-" else (), "wrote ")
         return
     end_with_json(found)
     if found:

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from labos.cli._options import json_option
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines
 from labos.errors import BadInput
 
 SKELETONS = Path(__file__).with_name("skeletons")
@@ -65,12 +65,10 @@ def command(kind: str, name: str, force: bool) -> None:
         except OSError as error:
             raise BadInput(f"{file} cannot be written: {error.strerror or error}.") from None
     end_with_json({"written": [str(file) for file in files]})
-    for file in files:
-        click.echo(f"wrote {file}")
+    show_lines(files, "wrote ")
     first = next(iter(files))
     click.echo("Next:")
-    for line in NEXT[kind].format(file=shlex.quote(str(first))).splitlines():
-        click.echo(f"  {line}")
+    show_lines(NEXT[kind].format(file=shlex.quote(str(first))).splitlines(), "  ")
 
 
 def _make_files(kind: str, folder: Path, name: str) -> dict[Path, str]:

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import end_with_json, show_table
+from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json, open_log
 from labos.core.effects import Carrying, Claims, Needs
@@ -155,8 +155,7 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         left_out=loaded.left_out,
     )
     compiled = check_windows(compiled, loaded.workcell)
-    for finding in compiled.findings:
-        click.echo(f"labos: {finding}", err=True)
+    show_lines(compiled.findings, "labos: ", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
     end_with_json(outline)
@@ -327,16 +326,13 @@ def _show_outline(outline: Outline) -> None:
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
     click.echo(_describe_origin(outline))
-    for line in describe_choices({step.key: step.choices for step in outline.steps if step.choices}):
-        click.echo(line)
+    show_lines(describe_choices({step.key: step.choices for step in outline.steps if step.choices}))
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")
-    for line in describe_certificate(outline.certificate) if outline.certificate else ():
-        click.echo(line)
+    show_lines(describe_certificate(outline.certificate) if outline.certificate else ())
     for step in outline.steps:
-        for line in _list_terms(outline, step):
-            click.echo(line)
+        show_lines(_list_terms(outline, step))
     out = [step for step in outline.steps if step.on_cancel]
     if out:
         ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_describe_place(s)})" for s in out]

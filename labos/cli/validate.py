@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_table, wants_json
+from labos.cli._out import show_json, show_lines, show_table, wants_json
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
@@ -224,12 +224,10 @@ def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
     plan = compiled.plan
     steps = sum(step.part == MAIN for step in plan.steps)
     click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
-    for line in describe_choices(list_choices(compiled.plans)):
-        click.echo(line)
+    show_lines(describe_choices(list_choices(compiled.plans)))
     click.echo(f"Labware needed at the start: {_describe_places(verdict.inputs) or 'none'}.")
     click.echo(f"Labware at the end: {_describe_places(verdict.outputs) or 'nowhere'}.")
-    for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
-        click.echo(line)
+    show_lines(describe_certificate(verdict.certificate) if verdict.certificate else ())
     if verdict.copies is not None:
         click.echo(_describe_copies(verdict.copies))
     if verdict.modules:

@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import end_with_json, show_json, wants_json
+from labos.cli._out import end_with_json, show_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
@@ -205,8 +205,7 @@ def command(
             )
             click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
         for part in parts:
-            for line in part.faults or (part.told,):
-                click.echo(line)
+            show_lines(part.faults or (part.told,))
         for other in more[1:]:
             click.echo(f"{other.journal} knows {other.knows}.")
         if nodes and not fault:

@@ -11,7 +11,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options
-from labos.cli._out import show_json, wants_json
+from labos.cli._out import show_json, show_lines, wants_json
 from labos.spec import Finding
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
@@ -82,7 +82,5 @@ def _show(found: dict[str, Any]) -> None:
     for finding in found["findings"]:
         click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
     lines = _list_changes(found)
-    for line in lines or [f"{found['workcell']} agrees with the file."]:
-        click.echo(line)
-    for blocker in found["blockers"]:
-        click.echo(f"Prevented by: {blocker}")
+    show_lines(lines or [f"{found['workcell']} agrees with the file."])
+    show_lines(found["blockers"], "Prevented by: ")
