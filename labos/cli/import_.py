@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table, wants_json
+from labos.cli._out import end_with_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
 from labos.spec.findings import ASSUMED, make_finding
@@ -95,10 +95,8 @@ def command(path: str, output: str, force: bool) -> None:
 
     outcome = read_all(Path(path), Path(output), descriptions())
     _write(outcome, force=force)
-    if wants_json():
-        show_json(_show(outcome))
-    else:
-        _show_outcome(outcome)
+    end_with_json(_show(outcome), int(bool(outcome.refused)))
+    _show_outcome(outcome)
     if outcome.refused:
         raise click.exceptions.Exit(1)
 

@@ -116,9 +116,8 @@ def disable(name: str, asker: Asker) -> None:
     Users are never removed, because the log refers to them."""
     with asker.lab() as client:
         client.disable_user(name, asker.user)
-        found = client.user(name) if wants_json() else {}
-    if wants_json():
-        show_json(found)
+        if wants_json():
+            show_json(client.user(name))
 
 
 @command.command("enable")
@@ -128,9 +127,8 @@ def enable(name: str, asker: Asker) -> None:
     """Enable a disabled user again."""
     with asker.lab() as client:
         client.enable_user(name, asker.user)
-        found = client.user(name) if wants_json() else {}
-    if wants_json():
-        show_json(found)
+        if wants_json():
+            show_json(client.user(name))
 
 
 @command.command("password")

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_lines, show_table, wants_json
+from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
@@ -90,10 +90,8 @@ def command(
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
-    if wants_json():
-        show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
-    else:
-        _show_verdict(verdict, compiled)
+    end_with_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)}, int(not verdict.sound))
+    _show_verdict(verdict, compiled)
     if not verdict.sound:
         click.get_current_context().exit(1)
 
@@ -127,12 +125,10 @@ def _check_alone(name: str) -> None:
     except SpecError as error:
         findings = [make_finding(error)]
     sound = all(finding.severity != "error" for finding in findings)
-    if wants_json():
-        show_json({"sound": sound, "findings": findings})
-    else:
-        for finding in findings:
-            click.echo(f"{finding.severity}: {finding.as_error()}")
-        click.echo(f"{summary}, no errors." if sound else "It cannot be used.")
+    end_with_json({"sound": sound, "findings": findings}, int(not sound))
+    for finding in findings:
+        click.echo(f"{finding.severity}: {finding.as_error()}")
+    click.echo(f"{summary}, no errors." if sound else "It cannot be used.")
     if not sound:
         click.get_current_context().exit(1)
 

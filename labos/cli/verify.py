@@ -12,7 +12,7 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import end_with_json, show_json, show_lines, wants_json
+from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
@@ -179,39 +179,30 @@ def command(
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
-    if wants_json():
-        show_json(
-            {
-                "whole": whole,
-                "fault": fault or next(iter(others), ""),
-                "position": _find_first_position(damage, compared, parts),
-                "head": end,
-                "compared_with": seen or compared,
-                "parts": [
-                    VerifiedPart(
-                        "log", damage.position if damage else end.position, _describe_log(fault, end)
-                    ),
-                    *parts,
-                ],
-                "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
-                "checkpoint_written": written,
-            }
-        )
-    else:
-        _report_log(fault, end, seen, file, written=written, signed=signed is not None)
-        if compared is not None and not fault:
-            number = (
-                "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
-            )
-            click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
-        for part in parts:
-            show_lines(part.faults or (part.told,))
-        for other in more[1:]:
-            click.echo(f"{other.journal} knows {other.knows}.")
-        if nodes and not fault:
-            click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
-        if not journals:
-            click.echo("The nodes' journals were not checked (--journals).")
+    head = VerifiedPart("log", damage.position if damage else end.position, _describe_log(fault, end))
+    facts = {
+        "whole": whole,
+        "fault": fault or next(iter(others), ""),
+        "position": _find_first_position(damage, compared, parts),
+        "head": end,
+        "compared_with": seen or compared,
+        "parts": [head, *parts],
+        "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
+        "checkpoint_written": written,
+    }
+    end_with_json(facts, int(not whole))
+    _report_log(fault, end, seen, file, written=written, signed=signed is not None)
+    if compared is not None and not fault:
+        number = "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
+        click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
+    for part in parts:
+        show_lines(part.faults or (part.told,))
+    for other in more[1:]:
+        click.echo(f"{other.journal} knows {other.knows}.")
+    if nodes and not fault:
+        click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
+    if not journals:
+        click.echo("The nodes' journals were not checked (--journals).")
     if not whole:
         click.get_current_context().exit(1)
 
