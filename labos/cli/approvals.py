@@ -11,6 +11,7 @@ import click
 
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import end_with_json, report_done, show_table, wants_json
+from labos.cli._terms import as_seconds, consumable_option
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -155,29 +156,24 @@ def _strip_control(text: str) -> str:
     help="For a campaign: the deadline, 2026-05-04T10:30, 12h, or empty for none.",
 )
 @click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
-@click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
 @click.option(
-    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="Maximum, such as tips=96."
+    "--lab-time",
+    "lab_time_s",
+    metavar="TIME",
+    callback=as_seconds,
+    help="For a campaign: the maximum module time, such as `20 h`.",
 )
+@consumable_option
 @click.option(
     "--alike",
     is_flag=True,
+    default=None,
     help="For a run in an experiment: approve further runs of the same workflow with other values too.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @why_option("A comment, for the log.")
 @asker_options
-def approve(
-    subject: str,
-    digest: str | None,
-    lab_time: str | None,
-    consumables: tuple[str, ...],
-    alike: bool,
-    yes: bool,
-    why: str,
-    asker: Asker,
-    **changes: Any,
-) -> None:
+def approve(subject: str, digest: str | None, yes: bool, why: str, asker: Asker, **changes: Any) -> None:
     """Approve the run, campaign or experiment ID: as it was proposed, or with changes.
 
     LabOS approves only the version that you have seen. If it was changed meanwhile, the command is refused.
@@ -186,15 +182,7 @@ def approve(
     labos approve R7 --why "looked at the protocol"
     labos approve C3 --runs 20 --lab-time "10 h"
     """
-    from labos.cli._terms import amount_of, seconds_of
-
     wanted = {name: value for name, value in changes.items() if value is not None}
-    if lab_time is not None:
-        wanted["lab_time_s"] = seconds_of(lab_time)
-    if consumables:
-        wanted["consumables"] = dict(map(amount_of, consumables))
-    if alike:
-        wanted["alike"] = True
     with asker.lab() as client:
         if digest is None:
             approval = client.approval_of(subject)
