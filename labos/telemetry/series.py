@@ -237,6 +237,11 @@ class MetricGroup:
     def families(self) -> list[LabMetric]:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
 
+    def show(self, kind: type[GaugeMetric], metrics: Mapping[str, tuple[str, str]]) -> None:
+        """Add metrics without labels: name and help, by the name of the reading that ``take`` sets."""
+        for reading, (name, help) in metrics.items():
+            setattr(self, reading, kind(name, help))
+
     def take(self, **readings: float | None) -> None:
         """Set the metrics with these names; a metric keeps its value if its reading is None."""
         for name, value in readings.items():
