@@ -15,6 +15,7 @@ from labos.cli._options import (
     why_option,
 )
 from labos.cli._out import end_with_json, report_done
+from labos.core.ids import local
 
 
 @click.command("observe")
@@ -38,7 +39,6 @@ def observe(station: str, what: str, user: str | None, home: str | None) -> None
     labos observe sciclops.tower1 4
     """
     from labos.cli._lab import need_lab
-    from labos.core.ids import local
 
     with need_lab(home) as client:
         follows = client.observe(station, what, find_user(user))

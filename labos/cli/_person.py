@@ -9,6 +9,8 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, read_result, wait_option, why_option
 from labos.cli._out import end_with_json, report_done, wants_json
+from labos.core.ids import local
+from labos.services.times import parse_until, show_time
 
 if TYPE_CHECKING:
     from labos.client import RunResult
@@ -56,8 +58,6 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
 
 def _describe_end(result: RunResult, *, stay: bool) -> str:
     """The present status of a cancelled run."""
-    from labos.core.ids import local
-
     if result.over:
         return f"{result.id} is {result.status}."
     flying = [
@@ -216,7 +216,6 @@ def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> No
     labos out-of-service hidex --why "lamp is being changed" --until 2h
     """
     from labos.cli._query import now_ns
-    from labos.services.times import parse_until, show_time
 
     back_at = parse_until(until, now_ns()) if until else 0
     with asker.lab() as client:

@@ -10,8 +10,11 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._out import end_with_json, show_table, terminal_width
-from labos.cli._query import Where, log_and_json
+from labos.cli._query import Where, log_and_json, open_log
 from labos.core.ids import local
+from labos.errors import NotFound, StoreUnavailable
+from labos.services.log import fold_to
+from labos.services.times import Moment
 
 if TYPE_CHECKING:
     from labos.core.model import ActionSpec, Arg, Description, ModuleSpec
@@ -71,7 +74,6 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
 
 
 def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
-    from labos.core.ids import local
     from labos.spec.about import find_description
 
     modules = [] if drivers else _list_modules(where, file)
@@ -91,11 +93,7 @@ def _list_modules(where: Where, file: str | None) -> list[ModuleSpec]:
         from labos.cli._lab import read_workcell
 
         return list(read_workcell(file).workcell.modules)
-    from labos.cli._query import open_log
-    from labos.errors import StoreUnavailable
     from labos.services.history import find_position_at
-    from labos.services.log import fold_to
-    from labos.services.times import Moment
 
     try:
         with open_log(where) as store:
@@ -125,7 +123,6 @@ def _sort_actions(found: Description) -> tuple[ActionSpec, ...]:
 
 def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
     """Modules of that name; else those with that driver; else the driver or model itself. Raises NotFound."""
-    from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
     wanted = local(name).lower()
@@ -145,7 +142,6 @@ def _names_of(driver: str) -> set[str]:
 
 
 def _keep_only(offer: Offer, action: str) -> Offer:
-    from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
     found = tuple(spec for spec in offer.actions if action in (spec.name, *spec.aliases))

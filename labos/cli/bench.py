@@ -16,6 +16,7 @@ from labos.cli._query import Where, folder_and_json, log_options, open_database,
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
 from labos.services.describe import describe_counts
+from labos.services.log import fold_to
 
 
 @click.group("bench", cls=Suggesting)
@@ -176,7 +177,6 @@ def round_(
 def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
     """The true content of the simulated benches of this lab."""
     from labos.node.world import World
-    from labos.services.log import fold_to
     from labos.services.truth import list_bench_contents
 
     benches = [] if where.lab else sorted((where.home / "world").glob("*.db"))

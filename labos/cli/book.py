@@ -12,6 +12,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json, options_together
 from labos.cli._out import end_with_json, report_done
+from labos.core.recurrence import DAY_NS
 from labos.errors import BadInput
 
 _booking = click.argument("booking", metavar="BOOKING")
@@ -169,7 +170,6 @@ def _find_time_on(client: Any, booking: str, on: str) -> int:
     """When a booking begins on a day (UTC ns). Raises BadInput."""
     from labos.cli._query import now_ns
     from labos.cli._when import parse_when
-    from labos.core.recurrence import DAY_NS
 
     known = client.booking(booking)
     day = parse_when(on, now_ns(), known["zone"])

@@ -23,6 +23,7 @@ from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
+from labos.errors import LabosError
 from labos.services.campaigns import (
     CampaignHistory,
     RowHistory,
@@ -291,7 +292,6 @@ def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     """When a campaign in progress is expected to start and end, if a running lab has a forecast."""
     from labos.cli._forecast import show_campaign
     from labos.cli._lab import need_lab_of
-    from labos.errors import LabosError
 
     if story.ended_at:
         return {}

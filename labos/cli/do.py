@@ -20,7 +20,9 @@ from labos.cli._options import (
     wait_option,
 )
 from labos.cli._out import wants_json
+from labos.cli._remote import lab_of
 from labos.errors import BadInput
+from labos.settings import Settings
 
 _options = options_together(
     click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
@@ -127,10 +129,8 @@ def _carry_out(
     seed: int,
     quiet: bool,
 ) -> None:
-    from labos.cli._remote import lab_of
     from labos.cli.run import RunRequest, carry_out, show_result
     from labos.client import step_text
-    from labos.settings import Settings
 
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     job = RunRequest(

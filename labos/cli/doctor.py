@@ -13,6 +13,7 @@ import click
 from labos.cli._exit import DONE, FAILED
 from labos.cli._out import end_with_json
 from labos.cli._query import Where, folder_and_json, now_ns, open_log
+from labos.client import LabClient
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
@@ -203,8 +204,6 @@ def _explain_no_kernel(where: Where) -> DoctorFinding:
 
 
 def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
-    from labos.client import LabClient
-
     try:
         with LabClient(home=home, patience_s=5.0) as client:  # the folder's owner may read
             health = client.health()

@@ -14,9 +14,12 @@ from labos.cli._options import json_option
 from labos.cli._out import end_with_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
+from labos.spec.dialects import find_kind, make_unknown_error
 from labos.spec.findings import ASSUMED, make_finding
 from labos.spec.library import SUFFIXES
 from labos.spec.references import iterate_texts
+from labos.spec.source import read
+from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
 if TYPE_CHECKING:
     from labos.core.model import Description
@@ -103,10 +106,7 @@ def command(path: str, output: str, force: bool) -> None:
 
 def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> ImportOutcome:
     """Read everything before anything is written. Raises NotFound."""
-    from labos.spec.dialects import find_kind, make_unknown_error
     from labos.spec.importing import Imported, Moved, import_spec
-    from labos.spec.source import read
-    from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
     outcome = ImportOutcome()
     taken: set[Path] = set()

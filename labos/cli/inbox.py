@@ -11,6 +11,8 @@ from labos.cli._options import Asker, asker_options, read_result, why_option
 from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, log_and_json
 from labos.core.topics import PlannedWork
+from labos.errors import BadInput
+from labos.services.times import show_time
 
 if TYPE_CHECKING:
     from labos.services.interventions import InterventionHistory
@@ -36,7 +38,6 @@ def inbox(where: Where, module: str | None) -> None:
     """
     from labos.cli._liveness import open_current_log
     from labos.services.interventions import list_intervention_histories
-    from labos.services.times import show_time
 
     with open_current_log(where) as store:
         stories = [story for story in list_intervention_histories(store).values() if story.open]
@@ -94,8 +95,6 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
     labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
     labos confirm I7 --not-done --why "there is no foil left"
     """
-    from labos.errors import BadInput
-
     with asker.lab() as client:
         questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
         asked = questions.get(intervention)

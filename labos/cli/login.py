@@ -10,6 +10,9 @@ import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
 from labos.cli._out import end_with_json, report_done
+from labos.errors import NotFound, NotSignedIn
+from labos.services.times import iso_time
+from labos.settings import check_url
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -79,8 +82,6 @@ def login(
 
     from labos.cli._provider import Way, sign_in
     from labos.client._token import keep_token
-    from labos.errors import NotFound
-    from labos.services.times import iso_time
 
     if device and code:
         raise click.UsageError("Give either --device or --code.")
@@ -120,7 +121,6 @@ def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, d
 def logout(url: str, home: str | None) -> None:
     """Sign out of the lab at URL (LABOS_URL, or the lab in the folder). The token is revoked and deleted."""
     from labos.client._token import find_kept_token, keep_token
-    from labos.errors import NotSignedIn
 
     with _find_lab(url, home) as client:
         place = client.token_place
@@ -138,7 +138,6 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
     address."""
     from labos.cli._lab import need_lab
     from labos.client import LabClient
-    from labos.settings import check_url
 
     if not url:
         return need_lab(home, token)
@@ -151,8 +150,6 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
 @lab_and_json
 def whoami(asker: Asker) -> None:
     """Show the name of the signed-in user, and your rights in the lab."""
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         found = client.identity()
     end_with_json(found)

@@ -7,6 +7,8 @@ from typing import Any
 import click
 
 from labos.cli._options import home_option
+from labos.cli._remote import is_given, lab_of
+from labos.errors import BadInput
 
 FOR_HTTP = {
     "host": "--host",
@@ -57,8 +59,6 @@ def command(behalf: str, http_port: int | None, home: str | None, **served: Any)
     LABOS_URL=https://lab:8710 labos mcp --http-port 8711
     """
     from labos.cli._lab import end_in_order
-    from labos.cli._remote import is_given, lab_of
-    from labos.errors import BadInput
     from labos.http.server import Listening
     from labos.mcp.server import make_server, sign_in
 

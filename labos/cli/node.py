@@ -24,6 +24,7 @@ from labos.cli._options import (
     why_option,
 )
 from labos.cli._out import end_with_json, report_done
+from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
 
@@ -239,7 +240,6 @@ async def _correct(
 ) -> tuple[JournalFacts, JournalFacts]:
     """Correct a journal with a person's facts; returns its facts before and after. Raises JournalError (its
     node is running), JournalDamaged, BadInput."""
-    from labos.clock import SystemClock, Uuid7Ids
     from labos.node.journal import Journal
     from labos.node.journal_file import FileJournalFile
 

@@ -14,6 +14,7 @@ from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_and_json, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
+from labos.settings import find_kernel
 
 REMEDIES = {
     "ERROR": "Solve the reported problem, then run: labos reset {module}",
@@ -47,7 +48,6 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     reports a remedy.
     """
     from labos.cli._lab import need_lab_of
-    from labos.settings import find_kernel
 
     if check or modules:
         _check(where, modules)

@@ -20,13 +20,15 @@ from labos.cli._options import (
     user_option,
 )
 from labos.cli._out import show_json, show_line, wants_json
-from labos.cli._payload import payload_option
+from labos.cli._payload import payload_option, read_payload
+from labos.cli._remote import lab_of
 from labos.core.ids import local
+from labos.errors import BadInput
+from labos.settings import Settings, find_kernel, was_simulated
 
 if TYPE_CHECKING:
     from labos.client import LabClient, RunResult
     from labos.core.model import Workcell
-    from labos.settings import Settings
     from labos.spec import Compiled
 
 
@@ -82,10 +84,7 @@ def command(
     With --dry-run nothing is submitted. The running lab forecasts when the run would start and end, which
     runs it would delay, and when a person would be needed.
     """
-    from labos.cli._payload import read_payload
-    from labos.cli._remote import lab_of
     from labos.client import workflow_text
-    from labos.settings import Settings
 
     values = read_payload(payloads)
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
@@ -148,8 +147,6 @@ def carry_out(
     own."""
     from labos.cli._lab import check_first, end_in_order, read_workcell, some_lab
     from labos.cli._narrate import Narrator
-    from labos.errors import BadInput
-    from labos.settings import was_simulated
     from labos.spec import parse_workflow
 
     # Errors of the file itself are reported before a lab is started for it.
@@ -189,7 +186,6 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
     """Whether the lab at ``url``, or in the home folder, has a simulated bench; None if no lab runs. Raises
     LabUnreachable."""
     from labos.client import LabClient
-    from labos.settings import find_kernel
 
     if url:
         with LabClient(url) as client:
@@ -201,7 +197,6 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
 def _find_workcell_beside(workflow: str) -> str:
     """The workcell file in the folder of a workflow's file, or in a parent folder; empty if there is none.
     Raises BadInput if there are several."""
-    from labos.errors import BadInput
     from labos.spec.files import find_workcells
 
     path = Path(workflow)

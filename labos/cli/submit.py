@@ -9,7 +9,7 @@ import click
 from labos.cli._complete import make_completer, name_option
 from labos.cli._options import Asker, asker_options, priority_option, propose_option, wait_option
 from labos.cli._out import wants_json
-from labos.cli._payload import payload_option
+from labos.cli._payload import payload_option, read_payload
 
 
 @click.command("submit")
@@ -43,7 +43,6 @@ def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, 
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
     labos submit pcr --due 12h
     """
-    from labos.cli._payload import read_payload
     from labos.cli.run import show_warnings
 
     values = read_payload(payloads)

@@ -14,6 +14,7 @@ import click
 from labos.cli._options import folder_home_option, json_option
 from labos.cli._out import report_done
 from labos.errors import NotFound, Refused, SystemFailed
+from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     from labos.store import SqlEventStore
@@ -46,7 +47,6 @@ def command(home: str | None, wait_s: float) -> None:
     \b
     labos take-over
     """
-    from labos.settings import Settings, find_kernel
     from labos.store import open_store
 
     settings = Settings.make(home)

@@ -10,6 +10,8 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import end_with_json, report_done, show_table
+from labos.cli._remote import lab_of
+from labos.settings import Settings, find_kernel
 
 
 @click.command("teach")
@@ -78,8 +80,6 @@ def locations(module: str, asker: Asker) -> None:
 def _find_locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     """From the running lab, else from its log. Raises NotFound."""
     from labos.cli._lab import need_lab
-    from labos.cli._remote import lab_of
-    from labos.settings import Settings, find_kernel
 
     settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None:

@@ -7,6 +7,7 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import end_with_json, report_done, show_table
+from labos.services.times import iso_time
 
 
 @click.group("token", cls=Suggesting)
@@ -50,8 +51,6 @@ def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None
     labos token create prometheus --scope viewer --days 366
     labos token create agent --for planner
     """
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         made = client.make_token(label, scope=scope, days=days, user=user)
     end_with_json(made)
@@ -70,8 +69,6 @@ def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None
 @lab_and_json
 def list_(user: str, asker: Asker) -> None:
     """List your tokens, and when each was last used (to the minute)."""
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         tokens = client.tokens(user)
     end_with_json(tokens)

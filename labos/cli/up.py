@@ -18,10 +18,11 @@ from labos.cli._options import (
     speed_option,
     web_options,
 )
+from labos.errors import LabosError
+from labos.settings import Settings, keep_private, was_simulated
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
-    from labos.settings import Settings
 
 
 NO_USERS = (
@@ -172,7 +173,6 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import end_in_order, read_workcell
-    from labos.settings import Settings, keep_private, was_simulated
     from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
@@ -289,7 +289,6 @@ def _listen_for_take_over(lab: LabThread) -> None:
 def _narrate(lab: LabThread) -> None:
     from labos.cli._narrate import Narrator
     from labos.client import LabClient
-    from labos.errors import LabosError
 
     try:
         with LabClient(home=lab.settings.home, patience_s=10.0) as client:

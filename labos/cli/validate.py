@@ -13,11 +13,13 @@ from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
+from labos.client import LabClient
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
 from labos.errors import LabosError, NoAnswer, Refused, SpecError
 from labos.planning.certificate import Certificate
 from labos.services.capacity import Capacity, measure_capacity
+from labos.settings import find_kernel
 from labos.spec import (
     Compiled,
     CompiledWorkcell,
@@ -28,7 +30,10 @@ from labos.spec import (
     list_specs,
 )
 from labos.spec.choices import describe_choices, list_choices
+from labos.spec.dialects import detect_kind
 from labos.spec.findings import make_finding
+from labos.spec.source import read
+from labos.spec.uses import read_uses
 
 ONLINE_PATIENCE_S = 2.0
 """How long to wait for a lab that does not answer."""
@@ -99,10 +104,8 @@ def command(
 def _check_alone(name: str) -> None:
     """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
     from labos.bootstrap import descriptions, shape_of
-    from labos.spec.dialects import detect_kind
     from labos.spec.importing import import_spec
     from labos.spec.layout_check import check_layout
-    from labos.spec.source import read
 
     needs = click.UsageError("To check a workflow, add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
@@ -140,8 +143,6 @@ def examine(
     from labos.bootstrap import descriptions, shape_of
     from labos.planning.certified import certify_all, check_windows
     from labos.spec.layout_check import check_layout
-    from labos.spec.source import read
-    from labos.spec.uses import read_uses
 
     flow_path, cell_path = find_spec_path("workflows", workflow), find_spec_path("workcells", workcell)
     known = descriptions()
@@ -186,9 +187,6 @@ def _count_copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None
 
 def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     """The present answers of the nodes of all modules that the workflow uses. Raises NoAnswer."""
-    from labos.client import LabClient
-    from labos.settings import find_kernel
-
     kernel = None if where.lab else find_kernel(where.home)
     if kernel is None and not where.lab:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")

@@ -13,6 +13,9 @@ from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options
 from labos.cli._out import show_json, show_lines, wants_json
 from labos.spec import Finding
+from labos.spec.labware import read_labware_files
+from labos.spec.source import read
+from labos.spec.tables import read_table_files
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
@@ -41,9 +44,6 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
     """
     from labos.bootstrap import descriptions
     from labos.cli._lab import find_workcell_file
-    from labos.spec.labware import read_labware_files
-    from labos.spec.source import read
-    from labos.spec.tables import read_table_files
 
     path = Path(find_workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
