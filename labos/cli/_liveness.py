@@ -9,6 +9,7 @@ from typing import Any
 import click
 import msgspec
 
+from labos.cli._lab import need_lab
 from labos.cli._query import Where, now_ns, open_log
 from labos.cli._remote import lab_of
 from labos.core.ids import local
@@ -62,8 +63,6 @@ def open_questions(home: str | None) -> list[dict[str, Any]]:
     log either."""
     settings = Settings.make(home)
     if lab_of(home) or find_kernel(settings.home) is not None:
-        from labos.cli._lab import need_lab
-
         with need_lab(home) as client:
             return list(client.state(waits=False)["interventions"])
     from labos.http.views import make_question_view

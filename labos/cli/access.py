@@ -11,6 +11,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, why_option
 from labos.cli._out import end_with_json, report_done, wants_json
+from labos.cli._rounds import ask
 from labos.core.ids import local, workcell_of
 from labos.errors import BadInput, NotFound, Refused
 
@@ -114,8 +115,6 @@ def _describe_going_on(workcell: str, changes: list[tuple[str, str]]) -> str:
 def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
     """Ask for the changes, then end the access. If the lab refuses an answer, it is asked again; if the user
     stops, nothing is sent."""
-    from labos.cli._rounds import ask
-
     while True:
         state = client.state(waits=False)
         access = state["lab"]["access"].get(workcell)

@@ -9,10 +9,13 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._lab import read_workcell
 from labos.cli._out import end_with_json, show_table, terminal_width
 from labos.cli._query import Where, log_and_json, open_log
+from labos.core.arguments import describe_arg, shorten
 from labos.core.ids import local
 from labos.errors import NotFound, StoreUnavailable
+from labos.services.history import find_position_at
 from labos.services.log import fold_to
 from labos.services.times import Moment
 
@@ -90,11 +93,7 @@ def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[O
 def _list_modules(where: Where, file: str | None) -> list[ModuleSpec]:
     """The modules of the file, or those of the lab; none if there is no lab yet."""
     if file is not None:
-        from labos.cli._lab import read_workcell
-
         return list(read_workcell(file).workcell.modules)
-    from labos.services.history import find_position_at
-
     try:
         with open_log(where) as store:
             state = fold_to(store, find_position_at(store, Moment()))
@@ -198,8 +197,6 @@ def _show_seconds(duration_s: float) -> str:
 
 
 def _describe_argument(arg: Arg) -> str:
-    from labos.core.arguments import describe_arg
-
     words = describe_arg(arg)
     if arg.default in (None, ""):
         words += "" if arg.required and arg.default is None else ", may be left out"
@@ -213,6 +210,4 @@ def _describe_argument(arg: Arg) -> str:
 
 def _show_value(value: Any) -> str:
     """A value in the form of a workflow file."""
-    from labos.core.arguments import shorten
-
     return str(value).lower() if isinstance(value, bool) else shorten(value)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._forecast import show_campaign, show_change, show_ways
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import end_with_json, report_done, show_table, wants_json
 from labos.cli._terms import as_seconds, consumable_option
@@ -78,8 +79,6 @@ def _forecast(client: LabClient, subject: str, approval: dict[str, Any]) -> dict
 
 
 def _show_forecast(approval: dict[str, Any], subject: str) -> None:
-    from labos.cli._forecast import show_campaign, show_change, show_ways
-
     found = approval["forecast"]
     click.echo("Forecast for an approval now:")
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]

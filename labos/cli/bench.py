@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._lab import need_lab_of
 from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
 from labos.cli._out import end_with_json, show_json, wants_json
 from labos.cli._query import Where, folder_and_json, log_options, open_database, open_log
@@ -129,7 +130,6 @@ def round_(
     reported it and belongs to their users. Waiting runs are paused (labos resume R7, labos cancel R7).
     """
     from labos.cli._bench_round import ask, parse_options, read_file, say, show, show_not_known, show_refused
-    from labos.cli._lab import need_lab_of
 
     with need_lab_of(where) as client:
         view = client.round()

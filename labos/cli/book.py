@@ -12,6 +12,7 @@ from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json, options_together
 from labos.cli._out import end_with_json, report_done
+from labos.cli._when import expect_zone, parse_when, rule_of
 from labos.core.recurrence import DAY_NS
 from labos.errors import BadInput
 
@@ -77,8 +78,6 @@ def add(target: str, asker: Asker, **given: Any) -> None:
     labos book ot2_pcr_alpha --from "2026-11-26 09:00" --to 17:00 --for chemistry
     labos book hidex --from "tue 14:00" --to +2h --every week --until 2027-03-31
     """
-    from labos.cli._when import expect_zone
-
     if given["begins"] is None or given["ends"] is None:
         raise BadInput(
             f"The booking of {target} has no start or no end.",
@@ -102,8 +101,6 @@ def change(booking: str, asker: Asker, **given: Any) -> None:
     labos book change B3 --from "fri 09:00"
     labos book change B3 --to now
     """
-    from labos.cli._when import expect_zone
-
     with asker.lab() as client:
         known = client.booking(booking)
         zone = known["zone"] if given["zone"] is None else expect_zone(given["zone"])
@@ -116,7 +113,6 @@ def _read_terms(given: Mapping[str, Any], zone: str, begins_at: int = 0) -> dict
     """The given options in the form that the client accepts. An end such as ``+2h`` counts from the given
     start, else from ``begins_at``. Raises BadInput."""
     from labos.cli._query import now_ns
-    from labos.cli._when import parse_when, rule_of
 
     terms = {name: given[name] for name in ("whom", "why", "zone", "force")}
     terms["maintenance"] = given["maintenance"] or None
@@ -169,7 +165,6 @@ def show(booking: str, asker: Asker) -> None:
 def _find_time_on(client: Any, booking: str, on: str) -> int:
     """When a booking begins on a day (UTC ns). Raises BadInput."""
     from labos.cli._query import now_ns
-    from labos.cli._when import parse_when
 
     known = client.booking(booking)
     day = parse_when(on, now_ns(), known["zone"])

@@ -9,7 +9,9 @@ from typing import Any, get_args
 import click
 import msgspec
 
+from labos.cli._forecast import show_campaign, show_change
 from labos.cli._group import Suggesting
+from labos.cli._lab import need_lab_of
 from labos.cli._liveness import open_current_log
 from labos.cli._options import (
     ENDED_SHOWN,
@@ -83,8 +85,6 @@ def plan(file: str, asker: Asker) -> None:
     The minimum duration of the campaign is the nominal time that its busiest module needs for all rows.
     The forecast simulates the lab from its present state, with the campaign and without it.
     """
-    from labos.cli._forecast import show_campaign, show_change
-
     with asker.lab() as client:
         answer = client.forecast_campaign(file, user=asker.user)
     estimate, forecast = answer["estimate"], answer["forecast"]
@@ -290,9 +290,6 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
 
 def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     """When a campaign in progress is expected to start and end, if a running lab has a forecast."""
-    from labos.cli._forecast import show_campaign
-    from labos.cli._lab import need_lab_of
-
     if story.ended_at:
         return {}
     try:

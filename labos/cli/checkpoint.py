@@ -6,6 +6,7 @@ import threading
 
 import click
 
+from labos.cli._lab import end_in_order
 from labos.cli._out import show_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
@@ -99,8 +100,6 @@ def command(
 
 def _follow(where: Where, targets: Targets, every: int, seconds: float) -> None:
     """Until Ctrl-C. If the database is away, it waits; if the log was rewritten, it ends."""
-    from labos.cli._lab import end_in_order
-
     pause = threading.Event()
     last_ns = 0
     with end_in_order():

@@ -21,6 +21,7 @@ from labos.cli._options import (
 )
 from labos.cli._out import wants_json
 from labos.cli._remote import lab_of
+from labos.cli.run import RunRequest, carry_out, parse_places, show_result, submit
 from labos.errors import BadInput
 from labos.settings import Settings
 
@@ -129,7 +130,6 @@ def _carry_out(
     seed: int,
     quiet: bool,
 ) -> None:
-    from labos.cli.run import RunRequest, carry_out, show_result
     from labos.client import step_text
 
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
@@ -151,7 +151,6 @@ def _carry_out(
 
 def _queue(job: Any, home: str | None) -> None:
     from labos.cli._lab import need_lab
-    from labos.cli.run import parse_places, submit
 
     with need_lab(home) as client:
         run = submit(client, job, job.workcell, parse_places(job.placed))

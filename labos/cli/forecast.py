@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._forecast import show_campaign, show_runs, show_touches
 from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import end_with_json
 
@@ -19,8 +20,6 @@ def command(asker: Asker) -> None:
     nobody else submits" does not. In a forecast no step fails, and nobody refills a resource. A run that
     needs a person first has no forecast.
     """
-    from labos.cli._forecast import show_campaign, show_runs, show_touches
-
     with asker.lab() as client:
         answer = client.forecast()
     end_with_json(answer)

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import make_completer
+from labos.cli._liveness import open_current_log
 from labos.cli._options import Asker, asker_options, read_result, why_option
 from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, log_and_json
 from labos.core.topics import PlannedWork
 from labos.errors import BadInput
+from labos.services.interventions import list_intervention_histories
 from labos.services.times import show_time
 
 if TYPE_CHECKING:
@@ -36,9 +38,6 @@ def inbox(where: Where, module: str | None) -> None:
     labos inbox
     labos confirm I7 --why "put in upside up"
     """
-    from labos.cli._liveness import open_current_log
-    from labos.services.interventions import list_intervention_histories
-
     with open_current_log(where) as store:
         stories = [story for story in list_intervention_histories(store).values() if story.open]
     entries = [

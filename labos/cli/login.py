@@ -10,6 +10,7 @@ import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
 from labos.cli._out import end_with_json, report_done
+from labos.cli._secret import ask_password
 from labos.errors import NotFound, NotSignedIn
 from labos.services.times import iso_time
 from labos.settings import check_url
@@ -108,8 +109,6 @@ def login(
 
 
 def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
-    from labos.cli._secret import ask_password
-
     password = ask_password(f"Password of {name}")
     return client.sign_in(name, password, label=label, scope=scope, days=days)
 

@@ -10,6 +10,7 @@ import click
 
 from labos.cli._options import json_option
 from labos.cli._out import end_with_json, show_lines
+from labos.cli.schema import write_schema
 from labos.errors import BadInput
 
 SKELETONS = Path(__file__).with_name("skeletons")
@@ -92,7 +93,5 @@ def _make_modeline(kind: str) -> str:
 
 
 def _make_schemas(kind: str, folder: Path) -> dict[Path, str]:
-    from labos.cli.schema import write_schema
-
     kind = "workflow" if kind == "app" else kind
     return {folder / SCHEMAS / f"{kind}.schema.json": write_schema(kind)}

@@ -27,6 +27,7 @@ from labos.cli._out import end_with_json, report_done
 from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
+from labos.telemetry.logs import configure_logs
 
 
 @click.group("node", cls=Suggesting)
@@ -100,7 +101,6 @@ def start(
         raise click.UsageError("--wire is for simulated devices: add --simulate.")
 
     from labos.bootstrap import run_node
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("info")
     keep_private()

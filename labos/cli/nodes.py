@@ -10,10 +10,13 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._exit import DONE, FAILED
+from labos.cli._lab import need_lab_of
+from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_and_json, read_kernel_file
 from labos.core.ids import local
 from labos.errors import NotFound
+from labos.services.history import fold_state_at
 from labos.settings import find_kernel
 
 REMEDIES = {
@@ -47,8 +50,6 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     the module is bound, the device's firmware, and its observations. If a module cannot work, the check
     reports a remedy.
     """
-    from labos.cli._lab import need_lab_of
-
     if check or modules:
         _check(where, modules)
         return
@@ -68,8 +69,6 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
 
 
 def _check(where: Where, names: Sequence[str]) -> None:
-    from labos.cli._lab import need_lab_of
-
     with need_lab_of(where) as client:
         found = [_drop_old_name(one) for one in client.check_nodes(names)]
     unable = [one for one in found if one["answer"] not in ("IDLE", "BUSY")]
@@ -108,9 +107,7 @@ def _flatten_seen(seen: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _list_last_known(where: Where) -> list[dict[str, Any]]:
     """The modules according to the log. Raises NotFound if there is none."""
-    from labos.cli._liveness import open_current_log
     from labos.http.views import list_calibrations
-    from labos.services.history import fold_state_at
 
     with open_current_log(where) as store:
         state = fold_state_at(store)

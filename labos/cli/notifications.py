@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._group import Suggesting
+from labos.cli._lab import end_in_order
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, find_lab_id, folder_and_json, folder_options
@@ -118,7 +119,6 @@ def watch(where: Where) -> None:
     labos notifications watch --home lab
     """
     from labos.bootstrap import find_contacts, make_notifier
-    from labos.cli._lab import end_in_order
 
     settings = _make_settings(where)
     book = find_contacts(settings)

@@ -29,6 +29,8 @@ from labos.planning.timetable import (
     with_learned,
     with_setups,
 )
+from labos.services.describe import shorten_value
+from labos.services.history import fold_state_at
 from labos.services.times import show_span
 
 if TYPE_CHECKING:
@@ -175,8 +177,6 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
     """The lab that was asked, the durations that it has learned, and its pace; no name if there is no lab. A
     lab that the command line does not name need not answer. Raises LabosError."""
-    from labos.services.history import fold_state_at
-
     named = is_given("home") or is_given("database")
     if not (named or where.lab or where.database or where.home.is_dir()):
         return "", Lengths(), 1.0
@@ -303,7 +303,6 @@ def _list_stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workce
 
 def _show_outline(outline: Outline) -> None:
     from labos.planning.certified import describe_certificate
-    from labos.services.describe import shorten_value
     from labos.spec.choices import describe_choices
 
     rows = [

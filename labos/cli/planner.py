@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 import click
 import msgspec
 
+from labos.cli._lab import end_in_order, need_lab_of
 from labos.cli._options import find_user, user_option
 from labos.cli._orders import ask_order_setting
 from labos.cli._query import Where, log_options, now_ns, open_log
@@ -90,7 +91,6 @@ def command(
     labos planner
     labos planner --workcell rpl --seconds 10
     """
-    from labos.cli._lab import end_in_order, need_lab_of
     from labos.planner.planner import Planner
     from labos.planner.solve import expect_solver
     from labos.planner.watch import CellWatch

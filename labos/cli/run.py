@@ -10,6 +10,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._forecast import show_change, show_ways
 from labos.cli._options import (
     find_user,
     json_option,
@@ -99,7 +100,6 @@ def command(
 
 def forecast(job: RunRequest, home: str | None) -> None:
     """Show the forecast for a job in the running lab. Raises Exit(1) if it would be refused."""
-    from labos.cli._forecast import show_change, show_ways
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:

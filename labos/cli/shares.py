@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from labos.cli._lab import need_lab_of
 from labos.cli._options import find_user, user_option
 from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_and_json, now_ns, open_log
@@ -30,8 +31,6 @@ def command(where: Where, file: str | None, user: str | None) -> None:
     labos shares --apply shares.yaml    set weights and quotas
     """
     if file is not None:
-        from labos.cli._lab import need_lab_of
-
         with need_lab_of(where) as client:
             client.apply_shares(read_file(file), file, find_user(user))
     with open_log(where) as store:

@@ -8,9 +8,11 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._lab import need_lab_of
 from labos.cli._options import why_option
 from labos.cli._out import end_with_json, report_done
 from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._secret import ask_password
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
 from labos.services.signatures import Signature, find_kind, list_signatures_under
@@ -35,9 +37,6 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
     labos sign C5 --meaning approved      a campaign with all its runs
     labos sign R7
     """
-    from labos.cli._lab import need_lab_of
-    from labos.cli._secret import ask_password
-
     with open_log(where) as log:
         if meaning is None:
             if why:

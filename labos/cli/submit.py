@@ -10,6 +10,7 @@ from labos.cli._complete import make_completer, name_option
 from labos.cli._options import Asker, asker_options, priority_option, propose_option, wait_option
 from labos.cli._out import wants_json
 from labos.cli._payload import payload_option, read_payload
+from labos.cli.run import show_result, show_warnings
 
 
 @click.command("submit")
@@ -43,8 +44,6 @@ def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, 
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
     labos submit pcr --due 12h
     """
-    from labos.cli.run import show_warnings
-
     values = read_payload(payloads)
     with asker.lab() as client:
         run = client.submit(workflow, values, user=asker.user, **asked)
@@ -52,6 +51,4 @@ def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, 
         if not wait:
             click.echo(f'{{"run": "{run}"}}' if wants_json() else run)
             return
-        from labos.cli.run import show_result
-
         show_result(client.wait(run))

@@ -20,6 +20,7 @@ from labos.cli._options import (
 )
 from labos.errors import LabosError
 from labos.settings import Settings, keep_private, was_simulated
+from labos.telemetry.logs import configure_logs
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
@@ -173,7 +174,6 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import end_in_order, read_workcell
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
     keep_private()

@@ -10,6 +10,7 @@ from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import end_with_json, report_done, show_json, show_table, wants_json
 from labos.cli._people import describe_roles, lab_or_its_folder, role_choice, scope_of, workcell_option
+from labos.cli._secret import ask_password
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")
@@ -141,8 +142,6 @@ def password(name: str, asker: Asker) -> None:
     The command asks on the terminal. Without a terminal, it reads lines of standard input: the present
     password (only for your own), then the new one. All sessions of the user end.
     """
-    from labos.cli._secret import ask_password
-
     with lab_or_its_folder(asker.home) as client:
         present = ask_password("Your present password") if client.identity()["user"] == name else ""
         client.set_password(name, ask_password(f"New password of {name}", twice=True), present)

@@ -18,6 +18,7 @@ from labos.core.ids import StationName, local
 from labos.core.model import MAIN
 from labos.errors import LabosError, NoAnswer, Refused, SpecError
 from labos.planning.certificate import Certificate
+from labos.planning.certified import certify_all, check_windows, describe_certificate
 from labos.services.capacity import Capacity, measure_capacity
 from labos.settings import find_kernel
 from labos.spec import (
@@ -141,7 +142,6 @@ def examine(
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and measure the capacity. Raises NotFound for a missing file."""
     from labos.bootstrap import descriptions, shape_of
-    from labos.planning.certified import certify_all, check_windows
     from labos.spec.layout_check import check_layout
 
     flow_path, cell_path = find_spec_path("workflows", workflow), find_spec_path("workcells", workcell)
@@ -207,8 +207,6 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
 
 
 def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
-    from labos.planning.certified import describe_certificate
-
     for finding in verdict.findings:
         click.echo(f"{finding.severity}: {finding.as_error()}")
     if compiled is None:
