@@ -9,9 +9,8 @@ from typing import Any
 import click
 import msgspec
 
-from labos.cli._lab import need_lab
+from labos.cli._lab import find_lab
 from labos.cli._query import Where, now_ns, open_log
-from labos.cli._remote import lab_of
 from labos.core.ids import local
 from labos.core.modules import Module
 from labos.core.state import LabState
@@ -20,7 +19,7 @@ from labos.ports import Head
 from labos.services.history import fold_state_at
 from labos.services.log import Log
 from labos.services.times import Moment, show_time
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings
 from labos.store import find_lease_holder
 
 NOW = Moment()
@@ -61,13 +60,12 @@ def open_current_log(
 def open_questions(home: str | None) -> list[dict[str, Any]]:
     """The open questions of the running lab; if none runs, those in its log. Raises NotFound if there is no
     log either."""
-    settings = Settings.make(home)
-    if lab_of(home) or find_kernel(settings.home) is not None:
-        with need_lab(home) as client:
+    if (lab := find_lab(home)) is not None:
+        with lab as client:
             return list(client.state(waits=False)["interventions"])
     from labos.http.views import make_question_view
 
-    state = read_last_state(settings)
+    state = read_last_state(Settings.make(home))
     return [
         msgspec.to_builtins(make_question_view(state, asked)) for asked in state.interventions.open.values()
     ]

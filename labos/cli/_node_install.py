@@ -9,7 +9,8 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._options import cert_option, file_option, folder_home_option, json_option, pki_option
 from labos.cli._out import report_done
-from labos.errors import BadInput, SystemFailed
+from labos.cli._specs import write_new
+from labos.errors import BadInput
 from labos.settings import Settings, last_kernel
 from labos.version import VERSION
 
@@ -65,7 +66,6 @@ def install(
     ssh sealer-pc 'tar xzf labos-node-rpl-sealer.tar.gz && sudo sh labos-node-rpl-sealer/install.sh'
     """
     from labos.services.node_package import NodePackage, pack_node
-    from labos.store import create_file
 
     workcell, slash, name = module.partition("/")
     if not slash or not name:
@@ -75,11 +75,7 @@ def install(
     requirement = f"labos-sdl[drivers]=={VERSION}"
     data = pack_node(NodePackage(workcell, name, connect, requirement, options, folder, wheels))
     target = file or Path(f"labos-node-{workcell}-{name}.tar.gz")
-    try:
-        with create_file(target) as written:
-            written.write(data)
-    except OSError as error:
-        raise SystemFailed(f"{target} cannot be written: {error}.", remedy="Name another file.") from None
+    write_new(target, data)
     secret = " It holds the node's private key." if folder is not None else ""
     facts = {"module": module, "file": str(target), "secure": folder is not None, "version": VERSION}
     report_done(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts)

@@ -10,14 +10,15 @@ from labos.cli._complete import make_completer
 from labos.cli._options import file_option
 from labos.cli._out import report_done
 from labos.cli._query import Where, folder_and_json, open_database
-from labos.errors import NotFound, SystemFailed
+from labos.cli._specs import write_new
+from labos.errors import NotFound
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
 from labos.settings import Settings
-from labos.store import create_file, open_blobs
+from labos.store import open_blobs
 
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
@@ -46,11 +47,7 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, wit
     erase` cannot change a bundle that was already passed on.
     """
     data, about = make_bundle_of(where, subject, checkpoint, words=not without_words)
-    try:
-        with create_file(file) as written:
-            written.write(data)
-    except OSError as error:
-        raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
+    write_new(file, data)
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
     report_done(f"{message}, proven by the checkpoint of size {about.size}.", about)
 

@@ -10,8 +10,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import end_with_json, report_done, show_table
-from labos.cli._remote import lab_of
-from labos.settings import Settings, find_kernel
+from labos.settings import Settings
 
 
 @click.command("teach")
@@ -79,13 +78,12 @@ def locations(module: str, asker: Asker) -> None:
 
 def _find_locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     """From the running lab, else from its log. Raises NotFound."""
-    from labos.cli._lab import need_lab
+    from labos.cli._lab import find_lab
 
-    settings = Settings.make(home)
-    if lab_of(home) or find_kernel(settings.home) is not None:
-        with need_lab(home) as client:
+    if (lab := find_lab(home)) is not None:
+        with lab as client:
             return client.locations(module)
     from labos.cli._liveness import module_of, read_last_state
     from labos.http.teaching import make_locations as poses_of
 
-    return dict(msgspec.to_builtins(poses_of(module_of(read_last_state(settings), module))))
+    return dict(msgspec.to_builtins(poses_of(module_of(read_last_state(Settings.make(home)), module))))
