@@ -13,18 +13,16 @@ from labos.core.envelope import Envelope
 
 def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
     _answer(rows, event.subject, "changed", "", "", head, at)
-    rows.put(WAITING, {"subject": event.subject, "position": head.position})
+    rows.put(WAITING, subject=event.subject, position=head.position)
     rows.put(
         APPROVALS,
-        {
-            "requested_position": head.position,
-            "user_id": event.user,
-            "asked_by": event.by,
-            "why": [why.text for why in event.why],
-            "changed": list(event.changed),
-            "requested_at_s": at,
-        },
         event,
+        requested_position=head.position,
+        user_id=event.user,
+        asked_by=event.by,
+        why=[why.text for why in event.why],
+        changed=list(event.changed),
+        requested_at_s=at,
     )
     if event.kind == "campaign":
         rows.update(CAMPAIGNS, event.subject, status="proposed")
@@ -53,22 +51,20 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
     run = rows.get(RUNS, event.run)
     rows.put(
         APPROVALS,
-        {
-            "requested_position": head.position,
-            "subject": event.run,
-            "kind": "second person",
-            "name": run["workflow"],
-            "user_id": run["user_id"],
-            "digest": run["plan"],
-            "why": ["it has dangerous steps"],
-            "parts": {},
-            "changed": [],
-            "requested_at_s": at,
-            "answer": "approved",
-            "answered_by": event.by,
-            "answered_at_s": at,
-            "answered_position": head.position,
-        },
+        requested_position=head.position,
+        subject=event.run,
+        kind="second person",
+        name=run["workflow"],
+        user_id=run["user_id"],
+        digest=run["plan"],
+        why=["it has dangerous steps"],
+        parts={},
+        changed=[],
+        requested_at_s=at,
+        answer="approved",
+        answered_by=event.by,
+        answered_at_s=at,
+        answered_position=head.position,
     )
 
 

@@ -15,14 +15,12 @@ from labos.core.ids import module_of
 def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
     row = rows.put(
         LABWARE,
-        {
-            "station": "",
-            "variables": {"lot": event.lot} if event.lot else {},
-            "samples": {},
-            "placed_at_s": at,
-            "placed_position": head.position,
-        },
         event,
+        station="",
+        variables={"lot": event.lot} if event.lot else {},
+        samples={},
+        placed_at_s=at,
+        placed_position=head.position,
     )
     _settle(rows, row, event.station, event.on)
     _note(rows, event, head, at, "placed", event.stack, event.station, event.on)

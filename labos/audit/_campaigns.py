@@ -14,19 +14,17 @@ from labos.core.envelope import Envelope
 def on_submitted(rows: RowChanges, event: c.CampaignSubmitted, head: Envelope, at: float) -> None:
     row = rows.put(
         CAMPAIGNS,
-        {
-            "user_id": event.user,
-            "status": "open",
-            "submitted_at_s": at,
-            "runs": 0,
-            "completed": 0,
-            "failed": 0,
-            "cancelled": 0,
-            "refused": 0,
-            "row_table": event.table,
-            "submitted_position": head.position,
-        },
         event,
+        user_id=event.user,
+        status="open",
+        submitted_at_s=at,
+        runs=0,
+        completed=0,
+        failed=0,
+        cancelled=0,
+        refused=0,
+        row_table=event.table,
+        submitted_position=head.position,
     )
     set_terms(row, event.terms)
 

@@ -38,20 +38,12 @@ def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: 
     """Write an entry; missing fields are empty. ``fields['also']`` are further words by which it can be
     found."""
     also = fields.pop("also", ())
-    row: Row = {
-        "number": position * PLACES + place,
-        "kind": kind,
-        "name": name,
-        "at_s": at,
-        **dict.fromkeys(("title", "about", "user_id", "workcell", "workflow"), ""),
-        **dict.fromkeys(("experiment", "run", "module", "status"), ""),
-        **{"keywords": [], "creators": [], "files": []},
-        **fields,
-    }
+    lists: Row = {"keywords": [], "creators": [], "files": []}
+    number = position * PLACES + place
+    row = rows.put(ENTRIES, number=number, kind=kind, name=name, at_s=at, **{**lists, **fields})
     searched = ("name", "title", "about", "user_id", "workcell", "workflow", "experiment", "run", "module")
-    lists = ("keywords", "creators", "files")
     row["words"] = join_words([*(row[part] for part in (*searched, *lists)), kind, also])
-    return rows.put(ENTRIES, row)
+    return row
 
 
 def _add_words(row: Row, *values: Any) -> None:

@@ -85,7 +85,7 @@ def _change(
     """Change a level, with the same fold as the lab itself."""
     row = rows.change(RESOURCES, event.module, event.resource)
     if not row["module"]:
-        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
+        row = rows.put(RESOURCES, event, level=None, capacity=None, lots=[])
     held = s.Resources()
     key = f"{event.module}:{event.resource}"
     if row["level"] is not None:

@@ -25,7 +25,7 @@ def _change_person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
     if not person["user_id"]:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
-        person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
+        person = rows.put(USERS, user_id=user, first_at_s=at, **counts)
     person["last_at_s"] = at
     return person
 
@@ -40,14 +40,12 @@ def on_erased(rows: RowChanges, event: UserErased, head: Envelope, at: float) ->
 def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, at: float) -> None:
     rows.put(
         INTERVENTIONS,
-        {
-            "labware": list(event.labware),
-            "choices": [choice.name for choice in event.choices],
-            "asked_at_s": at,
-            "due_at_s": convert_to_seconds(event.due_at) if event.due_at else None,
-            "asked_position": head.position,
-        },
         event,
+        labware=list(event.labware),
+        choices=[choice.name for choice in event.choices],
+        asked_at_s=at,
+        due_at_s=convert_to_seconds(event.due_at) if event.due_at else None,
+        asked_position=head.position,
     )
 
 
@@ -63,14 +61,12 @@ def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope,
 def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
     rows.put(
         EXPERIMENTS,
-        {
-            "user_id": event.user,
-            "status": "open",
-            "runs": 0,
-            "started_at_s": at,
-            "started_position": head.position,
-        },
         event,
+        user_id=event.user,
+        status="open",
+        runs=0,
+        started_at_s=at,
+        started_position=head.position,
     )
     _change_person(rows, event.user, at)["experiments"] += 1
 

@@ -53,14 +53,12 @@ class RowChanges:
         """Add a row, in the order of its columns, to a table that only grows."""
         self._added[table.name].append(values)
 
-    def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
-        """Add a new row, or replace one. A column that is not in ``row`` gets the field of the ``event`` with
-        its name; it is empty if there is no such field."""
-        from_event = {
-            name: getattr(event, name)
-            for name in _list_shared_columns(table.name, event.TYPE if event is not None else "")
-        }
-        row = {**_EMPTY[table.name], **from_event, **row}
+    def put(self, table: Table, event: Event | None = None, /, **columns: Any) -> Row:
+        """Add a new row, or replace one. A column that is not named gets the field of the ``event`` with its
+        name; it is empty if there is no such field."""
+        shared = _list_shared_columns(table.name, event.TYPE if event is not None else "")
+        from_event = {name: getattr(event, name) for name in shared}
+        row = {**_EMPTY[table.name], **from_event, **columns}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row

@@ -25,7 +25,7 @@ NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
 
 
 def on_plan_recorded(rows: RowChanges, event: p.PlanRecorded, head: Envelope, at: float) -> None:
-    rows.put(PLANS, {"steps": []}, event)
+    rows.put(PLANS, event, steps=[])
 
 
 def on_plan_steps_recorded(rows: RowChanges, event: p.PlanStepsRecorded, head: Envelope, at: float) -> None:
@@ -39,33 +39,29 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
     steps = plan["steps"]
     rows.put(
         RUNS,
-        {
-            "workcell": plan["workcell"],
-            "user_id": event.user,
-            "row": event.row if event.campaign else None,
-            "status": "queued",
-            "submitted_at_s": at,
-            "due_at_s": convert_to_seconds(event.due_at) if event.due_at else None,
-            "steps": len(steps),
-            "steps_done": 0,
-            "submitted_position": head.position,
-        },
         event,
+        workcell=plan["workcell"],
+        user_id=event.user,
+        row=event.row if event.campaign else None,
+        status="queued",
+        submitted_at_s=at,
+        due_at_s=convert_to_seconds(event.due_at) if event.due_at else None,
+        steps=len(steps),
+        steps_done=0,
+        submitted_position=head.position,
     )
     for number, (key, module, name, part, after) in enumerate(steps):
         rows.put(
             STEPS,
-            {
-                "run": event.run,
-                "step": number,
-                "key": key,
-                "module": module,
-                "name": name,
-                "state": "pending" if part == NUMBERS[MAIN] else "asleep",
-                "part": part,
-                "after": after,
-                "attempts": 0,
-            },
+            run=event.run,
+            step=number,
+            key=key,
+            module=module,
+            name=name,
+            state="pending" if part == NUMBERS[MAIN] else "asleep",
+            part=part,
+            after=after,
+            attempts=0,
         )
     rows.change(EXPERIMENTS, event.experiment)["runs"] += 1
 
@@ -172,18 +168,16 @@ def on_requested(rows: RowChanges, event: a.ActionRequested, head: Envelope, at:
     node = rows.get(NODES, rows.get(PRESENT, event.module)["position"])
     rows.put(
         ACTIONS,
-        {
-            "key": step["key"],
-            **{name: node[name] for name in _OF_NODE},
-            "labware": labware_of(event.effects),
-            "status": "requested",
-            "effects": "",
-            "attempts": event.attempt,
-            "requested_at_s": at,
-            "requested_position": head.position,
-            "plate": find_labware_of_action(event),
-        },
         event,
+        key=step["key"],
+        **{name: node[name] for name in _OF_NODE},
+        labware=labware_of(event.effects),
+        status="requested",
+        effects="",
+        attempts=event.attempt,
+        requested_at_s=at,
+        requested_position=head.position,
+        plate=find_labware_of_action(event),
     )
     for number, (name, digest) in enumerate(event.files.items()):
         rows.add(FILES, head.position, number, at, "given", digest, name, None, event.run, event.action)
@@ -280,15 +274,13 @@ def _split_value(value: Any) -> tuple[float | None, str]:
 
 def on_joined(rows: RowChanges, event: m.NodeJoined, head: Envelope, at: float) -> None:
     _leave(rows, event.module, at)
-    rows.put(PRESENT, {"module": event.module, "position": head.position})
+    rows.put(PRESENT, module=event.module, position=head.position)
     rows.put(
         NODES,
-        {
-            "position": head.position,
-            "driver_version": event.version,
-            "joined_at_s": at,
-        },
         event,
+        position=head.position,
+        driver_version=event.version,
+        joined_at_s=at,
     )
 
 
