@@ -21,14 +21,10 @@ from labos.ports import BlobReader
 from labos.services.log import Log
 from labos.services.shown import ShownLog
 from labos.services.times import Moment, parse_moment, parse_time
-from labos.settings import Settings, lab_url
+from labos.settings import Settings, lab_url, last_kernel
 from labos.store import SqlEventStore, open_blobs, open_store
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-KERNEL_FILE = "kernel.json"
-"""A file that a kernel writes into its home; only its ``database`` is used here, also after the kernel's
-end."""
 
 
 class Where(msgspec.Struct, frozen=True):
@@ -43,25 +39,14 @@ class Where(msgspec.Struct, frozen=True):
     def url(self) -> str:
         """The database's URL: the given one, else the last kernel's, else the file in the home folder; for a
         lab on another computer, its address."""
-        return (
-            self.lab
-            or self.database
-            or str(read_kernel_file(self.home).get("database", ""))
-            or name_own_database(self.home)
-        )
+        if self.lab or self.database:
+            return self.lab or self.database
+        last = last_kernel(self.home)
+        return (last.database if last is not None else "") or name_own_database(self.home)
 
 
 def name_own_database(home: Path) -> str:
     return f"sqlite:///{home / 'labos.db'}"
-
-
-def read_kernel_file(home: Path) -> dict[str, Any]:
-    """The file of the present or last kernel of this home; empty if it cannot be read."""
-    try:
-        found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def log_options(command: F, *, needs_folder: bool = False) -> F:

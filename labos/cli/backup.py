@@ -9,15 +9,9 @@ import msgspec
 
 from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json
-from labos.cli._query import (
-    Where,
-    folder_and_json,
-    now_ns,
-    open_database,
-    read_kernel_file,
-)
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.services.retention import note_retention
-from labos.settings import Settings
+from labos.settings import Settings, was_simulated
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
 _DAY_NS = 86_400 * 10**9
@@ -70,14 +64,14 @@ def command(
     LabOS needs them to recognise a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
-    known = read_kernel_file(where.home)
+    settings = Settings.make(where.home, where.url)
     with open_database(where) as store:
         made = backup(
             store,
-            open_blobs(Settings.make(where.home, where.url).blobs),
+            open_blobs(settings.blobs),
             folder,
             key=key,
-            simulated=bool(known.get("simulated", (where.home / "world").is_dir())),
+            simulated=bool(was_simulated(settings)),
         )
     accounts = open_accounts(where.url)
     try:

@@ -13,11 +13,11 @@ from labos.cli._exit import DONE, FAILED
 from labos.cli._lab import need_lab_of
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, log_and_json, read_kernel_file
+from labos.cli._query import Where, log_and_json
 from labos.core.ids import local
 from labos.errors import NotFound
 from labos.services.history import fold_state_at
-from labos.settings import find_kernel
+from labos.settings import find_kernel, last_kernel
 
 REMEDIES = {
     "ERROR": "Solve the reported problem, then run: labos reset {module}",
@@ -54,7 +54,8 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
         _check(where, modules)
         return
     if not where.lab and find_kernel(where.home) is None:
-        if not where.database and not (where.home / "labos.db").exists() and not read_kernel_file(where.home):
+        was_here = (where.home / "labos.db").exists() or last_kernel(where.home) is not None
+        if not where.database and not was_here:
             raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
         known = _list_last_known(where)
     else:

@@ -10,13 +10,7 @@ import msgspec
 
 from labos.cli._options import file_option
 from labos.cli._out import end_with_json
-from labos.cli._query import (
-    Where,
-    folder_and_json,
-    now_ns,
-    open_database,
-    read_kernel_file,
-)
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.cli._rehearse import rehearse
 from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
@@ -24,7 +18,7 @@ from labos.core.state import hash_state
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
-from labos.settings import KernelInfo, Settings, announce
+from labos.settings import KernelInfo, Settings, announce, last_kernel
 from labos.store import (
     ERASURES,
     Blobs,
@@ -190,7 +184,7 @@ def put_back(
             put_accounts_back(accounts, people)
         finally:
             accounts.close()
-    if not read_kernel_file(where.home):
+    if last_kernel(where.home) is None:
         place = str(Settings.make(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
