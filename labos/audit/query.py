@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
@@ -60,10 +60,8 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnecti
             )
         with TranslatedErrors(parsed):
             lite = _open_sqlite(path.as_uri())
-        try:
+        with closing(lite):
             yield _SqliteAsker(lite, limit_s)
-        finally:
-            lite.close()
         return
     from labos.audit._postgres import connect
 
@@ -72,10 +70,8 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnecti
         server.execute("SET default_transaction_read_only = on")
         server.execute(f"SET search_path = {VIEW_SCHEMA}, pg_catalog".encode())
         server.execute("SET TIME ZONE 'UTC'")
-    try:
+    with closing(server):
         yield _PostgresAsker(server, limit_s)
-    finally:
-        server.close()
 
 
 # -- SQLite ------------------------------------------------------------------------------------

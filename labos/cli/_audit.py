@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import click
 
@@ -23,13 +23,9 @@ SHOWN_FROM = 20_000
 @contextmanager
 def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase, Projector]]:
     """The log, its audit tables, and the projector that updates them."""
-    with open_database(where) as store:
-        database = open_audit(where.url)
-        try:
-            blobs = open_blobs(Settings.make(where.home, where.url).blobs)
-            yield store, database, Projector(ShownLog(store), database, blobs)
-        finally:
-            database.close()
+    with open_database(where) as store, closing(open_audit(where.url)) as database:
+        blobs = open_blobs(Settings.make(where.home, where.url).blobs)
+        yield store, database, Projector(ShownLog(store), database, blobs)
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import click
@@ -42,8 +43,7 @@ class BenchView(msgspec.Struct, frozen=True):
 def read_bench(store: SqlEventStore, path: Path) -> BenchView:
     """Read a bench that has a file. Bench and log cannot be read at the same moment: a difference counts only
     if it is still there after a moment without motion and without new events."""
-    world = World(str(path))
-    try:
+    with closing(World(str(path))) as world:
         for _ in range(TRIES):
             position = store.head().position
             before = world.last_motion(), position
@@ -55,8 +55,6 @@ def read_bench(store: SqlEventStore, path: Path) -> BenchView:
             if before == (world.last_motion(), store.head().position):
                 break
         return sight
-    finally:
-        world.close()
 
 
 def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> BenchView:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -119,11 +119,8 @@ def open_contents(where: Where) -> Iterator[BlobReader]:
 @contextmanager
 def open_database(where: Where) -> Iterator[SqlEventStore]:
     """The log's database, opened for reading only. Raises StoreUnavailable, LogTooNew, BadInput."""
-    store = open_store(where.url, create=False, read_only=True, home=where.home)
-    try:
+    with closing(open_store(where.url, create=False, read_only=True, home=where.home)) as store:
         yield store
-    finally:
-        store.close()
 
 
 def find_lab_id(where: Where) -> str:

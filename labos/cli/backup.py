@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
@@ -73,11 +74,8 @@ def command(
             key=key,
             simulated=bool(was_simulated(settings)),
         )
-    accounts = open_accounts(where.url)
-    try:
+    with closing(open_accounts(where.url)) as accounts:
         people = copy_accounts(accounts, made.lab, folder, now_ns(), key)
-    finally:
-        accounts.close()
     before = now_ns() - int(keep_days * _DAY_NS)
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if archive is not None:

@@ -4,6 +4,7 @@ bench."""
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -190,11 +191,8 @@ def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
         position = store.head().position
         state, records = fold_to(store, position), list(store.read(upto=position))
     for path in benches:
-        world = World(str(path))
-        try:
+        with closing(World(str(path))) as world:
             seen = list_bench_contents(world, state, records)
-        finally:
-            world.close()
         found |= {name: content for name, content in seen.items() if workcell_of(name) == path.stem}
     wastes = [name for name, station in state.bench.stations.items() if station.spec.kind == "waste"]
     return {**found, **dict.fromkeys(wastes, None)}

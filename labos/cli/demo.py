@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -174,11 +175,8 @@ def _show_account(settings: Settings, results: list[RunResult]) -> None:
     from labos.services.summary import summarise
     from labos.store import open_store
 
-    store = open_store(settings.database, create=False, read_only=True)
-    try:
+    with closing(open_store(settings.database, create=False, read_only=True)) as store:
         summary = summarise(store.read())
-    finally:
-        store.close()
     click.echo()
     show_summary(summary)
     home = _cut_path(settings.home)
@@ -219,11 +217,8 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     if given:
         from labos.store import open_store
 
-        store = open_store(settings.database, home=settings.home)
-        try:
+        with closing(open_store(settings.database, home=settings.home)) as store:
             if store.head().position:
                 raise BadInput(
                     "The database already holds a lab.", remedy="Use an empty database for the demonstration."
                 )
-        finally:
-            store.close()

@@ -20,6 +20,7 @@ from labos.cli._options import (
     wait_option,
 )
 from labos.cli._out import wants_json
+from labos.cli._payload import read_value
 from labos.cli._remote import lab_of
 from labos.cli.run import RunRequest, carry_out, parse_places, show_result, submit
 from labos.errors import BadInput
@@ -97,8 +98,6 @@ def home(module: str, **options: Any) -> None:
 
 def read_arguments(given: Sequence[str]) -> dict[str, Any]:
     """``name=value`` with values as in a workflow file. Raises BadInput."""
-    import yaml
-
     values: dict[str, Any] = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -106,10 +105,7 @@ def read_arguments(given: Sequence[str]) -> dict[str, Any]:
             raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write NAME=VALUE, such as time=3.0.")
         if name.strip() in values:
             raise BadInput(f"The argument {name.strip()!r} is given twice.", remedy="Leave one out.")
-        try:
-            values[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            values[name.strip()] = value
+        values[name.strip()] = read_value(value)
     return values
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -201,11 +201,8 @@ def _open_records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
         raise BadInput(
             f"{log} does not exist.", remedy="Name a lab's folder, a database, a backup or a file."
         )
-    store = open_store(url, create=False, read_only=True)
-    try:
+    with closing(open_store(url, create=False, read_only=True)) as store:
         yield store.read(), store
-    finally:
-        store.close()
 
 
 def _find_database(home: Path) -> str:

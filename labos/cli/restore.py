@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import click
@@ -179,11 +180,8 @@ def put_back(
             remedy="Check the disk, then restore into another database.",
         )
     if people is not None:
-        accounts = open_accounts(where.url)
-        try:
+        with closing(open_accounts(where.url)) as accounts:
             put_accounts_back(accounts, people)
-        finally:
-            accounts.close()
     if last_kernel(where.home) is None:
         place = str(Settings.make(where.home, where.url).blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -63,8 +64,7 @@ def command(home: str | None, wait_s: float) -> None:
             remedy="Stop it, and start `labos up` on the other computer.",
         )
     expect_to_listen(running.pid, number)
-    store = open_store(running.database, create=False, read_only=True, home=settings.home)
-    try:
+    with closing(open_store(running.database, create=False, read_only=True, home=settings.home)) as store:
         standing_by = store.standbys()
         if not standing_by:
             raise Refused(
@@ -81,8 +81,6 @@ def command(home: str | None, wait_s: float) -> None:
             ) from None
         pause_s = _wait(store, epoch, wait_s)
         owner, epoch = store.find_holder().owner, store.head().epoch
-    finally:
-        store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
     message = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
     report_done(message, facts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -238,11 +239,8 @@ def _has_other_kernel(settings: Settings) -> bool:
         raise click.UsageError("--or-standby needs a lab on PostgreSQL (docs/standby.md).")
     if read_database_status(settings.database).state == "empty":
         return False
-    store = open_store(settings.database, create=False, read_only=True)
-    try:
+    with closing(open_store(settings.database, create=False, read_only=True)) as store:
         return store.find_holder().living
-    finally:
-        store.close()
 
 
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
