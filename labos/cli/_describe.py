@@ -105,8 +105,7 @@ def _show_parts(file: DescriptionFile) -> None:
         (name, part.on, _show_three(part.at_mm), _describe_moves(part.moves), part.basis)
         for name, part in file.parts.items()
     ]
-    click.echo()
-    show_table(("part", "on", "at", "moves", "from"), rows)
+    show_table(("part", "on", "at", "moves", "from"), rows, gap=True)
 
 
 def _show_stations(file: DescriptionFile) -> None:
@@ -126,8 +125,7 @@ def _show_stations(file: DescriptionFile) -> None:
         )
         for name, entry in file.stations.items()
     ]
-    click.echo()
-    show_table(("station", "kind", "at", "approach", "from", "note"), rows)
+    show_table(("station", "kind", "at", "approach", "from", "note"), rows, gap=True)
 
 
 def _describe_place(name: str, entry: PlaceEntry, at: Mapping[str, Frame]) -> str:

@@ -20,8 +20,21 @@ _JSON = "labos.cli.json"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+\-Z]*")
 
 
-def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
-    """Print a table; only a dash if there are no rows."""
+def show_table(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    title: str = "",
+    gap: bool = False,
+    optional: str = "",
+) -> None:
+    """Print a table; only its head if there are no rows. ``gap``: after an empty line. ``optional``: a column
+    that is left out if it is empty."""
+    if optional and not any(row[columns.index(optional)] for row in rows):
+        at = columns.index(optional)
+        columns, *rows = ((*line[:at], *line[at + 1 :]) for line in (columns, *rows))
+    if gap:
+        click.echo()
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape

@@ -40,21 +40,22 @@ def command(where: Where, since: str) -> None:
     _show_runs(found)
     _show_people(found)
     _show_bench(found)
-    click.echo()
-    click.echo(_describe_unattended(found))
+    click.echo(f"\n{_describe_unattended(found)}")
 
 
 def _show_runs(found: Handover) -> None:
-    click.echo()
     rows = [_run(run) for run in (*found.running, *found.queued)]
     more = found.queued_in_all - len(found.queued)
-    show_table(("run", "workflow", "user", "status", "steps", "does, or waits for"), rows, title="Runs")
+    show_table(
+        ("run", "workflow", "user", "status", "steps", "does, or waits for"), rows, title="Runs", gap=True
+    )
     if more:
         click.echo(f"{more} more are queued behind them: labos runs")
     if found.ended:
-        click.echo()
         ended = [(run.run, run.workflow, run.user, run.status, run.why) for run in found.ended]
-        show_table(("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift")
+        show_table(
+            ("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift", gap=True
+        )
 
 
 def _run(run: OpenRun) -> tuple[str, ...]:
@@ -65,8 +66,7 @@ def _run(run: OpenRun) -> tuple[str, ...]:
 
 
 def _show_people(found: Handover) -> None:
-    click.echo()
-    click.echo("Waits for a person")
+    click.echo("\nWaits for a person")
     for asked in found.questions:
         due = f" (due {show_time(asked.due_at)}{', LATE' if asked.overdue else ''})" if asked.due_at else ""
         click.echo(f"  {asked.id}{due}: {asked.text}")
@@ -82,7 +82,6 @@ def _show_people(found: Handover) -> None:
 
 def _show_bench(found: Handover) -> None:
     if found.labware:
-        click.echo()
         rows = [
             (
                 piece.labware,
@@ -92,9 +91,10 @@ def _show_bench(found: Handover) -> None:
             )
             for piece in found.labware
         ]
-        show_table(("labware", "type", "stands at", "belongs to"), rows, title="Labware that no run uses")
-    click.echo()
-    click.echo("Runs out next")
+        show_table(
+            ("labware", "type", "stands at", "belongs to"), rows, title="Labware that no run uses", gap=True
+        )
+    click.echo("\nRuns out next")
     for short in found.runs_out:
         click.echo(
             f"  {short.what} at {show_time(short.at)}, in {short.run} ({short.workflow}: {short.step!r})"

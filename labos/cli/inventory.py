@@ -43,16 +43,16 @@ def command(where: Where) -> None:
         [_list_resource_cells(left) for left in found.resources],
         title=f"At {show_time(now)}; {found.runs_looked_at} open runs",
     )
-    click.echo()
     show_table(
         ("stack", "left", "of", "still needed", "top to bottom", "runs out"),
         [_list_stack_cells(left) for left in found.stacks],
+        gap=True,
     )
     if found.wastes:
-        click.echo()
         show_table(
             ("waste", "room", "of", "still to come", "full"),
             [_list_waste_cells(left) for left in found.wastes],
+            gap=True,
         )
     first = list_shortfalls(found)
     if first:

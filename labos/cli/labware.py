@@ -78,7 +78,6 @@ def _show_history(story: LabwareHistory) -> None:
         click.echo(f"Barcode: {story.barcode}")
     if values:
         click.echo(f"Variables: {values}")
-    click.echo()
     stays = [
         (
             " or ".join(local(place) or "gone" for place in stay.places) or "gone",
@@ -91,8 +90,7 @@ def _show_history(story: LabwareHistory) -> None:
         )
         for stay in story.stays
     ]
-    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations")
-    click.echo()
+    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations", gap=True)
     changes = [
         (
             show_time(change.at),
@@ -104,4 +102,4 @@ def _show_history(story: LabwareHistory) -> None:
         )
         for change in story.changes
     ]
-    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History")
+    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History", gap=True)

@@ -62,11 +62,8 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
     end_with_json(known)
-    columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
-    if any(map(_find_valid_until, known)):  # most labs have none
-        columns.append("calibrated until")
-        rows = [(*row, _find_valid_until(module)) for row, module in zip(rows, known, strict=True)]
-    show_table(columns, rows)
+    columns = ("module", "driver", "status", "doing", "pid", "problem", "calibrated until")
+    show_table(columns, list(map(_row, known)), optional="calibrated until")
 
 
 def _check(where: Where, names: Sequence[str]) -> None:
@@ -149,4 +146,5 @@ def _row(module: dict[str, Any]) -> tuple[str, ...]:
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"
-    return (module["module"], driver, module["status"], doing, str(process.get("pid") or ""), problem)
+    pid, until = str(process.get("pid") or ""), _find_valid_until(module)
+    return (module["module"], driver, module["status"], doing, pid, problem, until)

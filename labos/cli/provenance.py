@@ -83,10 +83,8 @@ def _show_graph(graph: Graph) -> None:
         if value != []:
             click.echo(f"  {name}: {value if isinstance(value, str) else shorten_value(value)}")
     if graph.contents:
-        click.echo()
         rows = [_list_part_cells(part) for part in graph.contents]
-        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents")
-    click.echo()
+        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents", gap=True)
     rows = [
         (
             str(link.position),
@@ -96,7 +94,7 @@ def _show_graph(graph: Graph) -> None:
         )
         for link in graph.links
     ]
-    show_table(("event", "what", "", "of what"), rows, title="Links")
+    show_table(("event", "what", "", "of what"), rows, title="Links", gap=True)
 
 
 def _list(graph: Graph, kind: str, direction: str) -> None:

@@ -64,10 +64,8 @@ def command(where: Where, run: str | None, everything: bool) -> None:
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
     end_with_json([_make_plain(story, waits, due) for story in shown])
-    dated = any(story.due_at for story in shown)
-    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
-    rows = [_row(story, now, waits, due, dated=dated) for story in shown]
-    show_table((*columns, *(["due"] if dated else []), "why"), rows)
+    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took", "due", "why")
+    show_table(columns, [_row(story, now, waits, due) for story in shown], optional="due")
     if hidden:
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
@@ -106,16 +104,14 @@ def _make_plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str
     return {**msgspec.to_builtins(run), "waits": waits.get(run.id, []), "due": due.get(run.id, "")}
 
 
-def _row(
-    run: RunHistory, now: int, waits: dict[str, list[str]], due: dict[str, str], *, dated: bool
-) -> tuple[str, ...]:
+def _row(run: RunHistory, now: int, waits: dict[str, list[str]], due: dict[str, str]) -> tuple[str, ...]:
     steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
     why = run.why or "; ".join(f"waits: {reason}" for reason in waits.get(run.id, []))
     span = show_duration(run, now)
     known = run.id, name, run.user, run.experiment, run.status, steps, submitted, span
-    return *known, *([due.get(run.id, "")] if dated else []), why
+    return *known, due.get(run.id, ""), why
 
 
 def show_duration(run: RunHistory, now: int) -> str:
@@ -138,7 +134,6 @@ def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str])
         click.echo(f"Due: {due[run.id]}")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
     show_parts([f"{what} {show_time(at)}" for what, at in times if at])
-    click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
     show_table(
         columns,
@@ -147,6 +142,7 @@ def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str])
             for step in run.steps
             if step.state != "asleep" or find_served_step(step.part) is not None
         ],
+        gap=True,
     )
 
 

@@ -223,8 +223,7 @@ def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
     if verdict.copies is not None:
         click.echo(_describe_copies(verdict.copies))
     if verdict.modules:
-        click.echo()
-        show_table(("module", "status"), list(verdict.modules.items()))
+        show_table(("module", "status"), list(verdict.modules.items()), gap=True)
     if verdict.unreachable:
         click.echo(f"Not ready: {', '.join(verdict.unreachable)}.")
 
