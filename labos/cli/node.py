@@ -76,15 +76,12 @@ def start(
     workcell: str,
     simulate: bool,
     wire: bool,
-    trace: str,
     metrics_port: int | None,
     metrics_host: str,
-    connect: tuple[str, ...],
     secure: bool,
     cert: Path | None,
     home: str | None,
-    with_parent: bool,
-    finish_s: float | None,
+    **more: Any,
 ) -> None:
     """Run the node of a module until it is stopped. DRIVER defaults to the driver in the workcell file.
 
@@ -113,15 +110,12 @@ def start(
             name,
             workcell,
             settings,
-            connect=connect,
             certificate=cert.absolute() if cert is not None else None,
             secure=secure or cert is not None,
             simulate=simulate,
             wire=wire,
-            trace=trace,
             metrics=(metrics_host, metrics_port) if metrics_port is not None else None,
-            with_parent=with_parent,
-            finish_s=finish_s,
+            **more,
         )
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 import msgspec
@@ -69,14 +69,7 @@ LOST_PAUSE_S = 5.0
 @user_option
 @log_options
 def command(
-    where: Where,
-    seconds: float,
-    level: float,
-    end_weight: int,
-    pause_s: float,
-    cells: tuple[str, ...],
-    once: bool,
-    user: str | None,
+    where: Where, pause_s: float, cells: tuple[str, ...], once: bool, user: str | None, **search: Any
 ) -> None:
     """Search for a better order of the next steps and suggest it to a running lab, until Ctrl-C.
 
@@ -98,8 +91,7 @@ def command(
 
     expect_solver()
     asker, watch = find_user(user), CellWatch()
-    searches = ask_order_setting(where)
-    planner = Planner(seconds=seconds, level=level, end_weight=end_weight, searches=searches)
+    planner = Planner(searches=ask_order_setting(where), **search)
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # it only reads
