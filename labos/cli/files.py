@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path, PurePath, PureWindowsPath
-from typing import TYPE_CHECKING
 
 import click
 
@@ -29,9 +28,6 @@ from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
 from labos.settings import Settings
 from labos.store import FolderBlobs, open_blobs
-
-if TYPE_CHECKING:
-    pass
 
 COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
 SHORT = 12

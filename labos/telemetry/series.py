@@ -54,13 +54,23 @@ class LabMetric:
         self._changed.clear()
         return self._lines.values()
 
-    def _write(self, key: Labels) -> str:
-        """The lines of one set of labels."""
-        raise NotImplementedError
-
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
         """(name, labels, value) of each series."""
+        for key in self._prefixes:
+            named = dict(zip(self.labels, key, strict=True))
+            for name, more, value in self._list_points(key):
+                yield name, {**named, **more}, value
+
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        """(name, further labels, value) of each series of one set of labels."""
         raise NotImplementedError
+
+    def _write(self, key: Labels) -> str:
+        prefix = self._prefixes[key]
+        return "\n".join(
+            _line(name, _join_labels(prefix, f'le="{more["le"]}"') if more else prefix, value)
+            for name, more, value in self._list_points(key)
+        )
 
     def _labels_of(self, key: Labels) -> Labels:
         """The set of labels under which a value is stored; the prefix of a new set is made here."""
@@ -82,12 +92,12 @@ class _NumberMetric(LabMetric):
         super().__init__(name, help, labels, most=most)
         self._values: dict[Labels, float] = {}
 
-    def _write(self, key: Labels) -> str:
-        return _line(self.name, self._prefixes[key], self._values[key])
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        return ((self.name, {}, self._values[key]),)
 
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, value in self._values.items():
-            yield self.name, dict(zip(self.labels, key, strict=True)), value
+    def _write(self, key: Labels) -> str:
+        """The same without a detour: most series are numbers."""
+        return _line(self.name, self._prefixes[key], self._values[key])
 
 
 class CounterMetric(_NumberMetric):
@@ -205,22 +215,8 @@ class Distribution(LabMetric):
         heap.total += value
         self._changed[key] = True
 
-    def _write(self, key: Labels) -> str:
-        prefix = self._prefixes[key]
-        rows = (
-            _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
-            for name, more, value in self._list_points(self._heaps[key])
-        )
-        return "\n".join(rows)
-
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, heap in self._heaps.items():
-            named = dict(zip(self.labels, key, strict=True))
-            for name, more, value in self._list_points(heap):
-                yield name, {**named, **more}, value
-
-    def _list_points(self, heap: _Observations) -> Iterator[tuple[str, dict[str, str], float]]:
-        counts, total = list(heap.counts), heap.total
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        counts, total = list(self._heaps[key].counts), self._heaps[key].total
         if self.bounds:
             upto = 0
             for bound, count in zip((*self.bounds, math.inf), counts, strict=True):
