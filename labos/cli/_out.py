@@ -98,9 +98,7 @@ def end_with_json(value: Any, code: int = 0) -> None:
     """With ``--json``, show the value and end the command with this exit code."""
     if wants_json():
         show_json(value)
-        if code:
-            raise SystemExit(code)  # as where a command without --json has found a fault
-        click.get_current_context().exit()
+        click.get_current_context().exit(code)
 
 
 def report_done(sentence: str, facts: Any) -> None:

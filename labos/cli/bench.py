@@ -91,7 +91,7 @@ def show(where: Where) -> None:
     for sight in sights:
         show(sight)
     if not agrees:
-        raise SystemExit(1)
+        click.get_current_context().exit(1)
 
 
 @command.command("round", short_help="Check the bench after the log has lost its last events.")
@@ -172,7 +172,7 @@ def round_(
         elif found["why_not"]:
             click.echo(f"{question} is not answered: {found['why_not']}")
     if (words or found["why_not"]) and not answered and not only_say:
-        raise SystemExit(1)
+        click.get_current_context().exit(1)
 
 
 def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:

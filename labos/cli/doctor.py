@@ -66,7 +66,7 @@ def command(where: Where) -> None:
     warnings = sum(finding.state == "warning" for finding in found)
     click.echo(f"{len(found)} checks: {faults} faults, {warnings} warnings.")
     if faults:
-        raise SystemExit(FAILED)
+        click.get_current_context().exit(FAILED)
 
 
 def _fail(part: str, told: str, remedy: str) -> DoctorFinding:

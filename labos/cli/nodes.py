@@ -77,7 +77,7 @@ def _check(where: Where, names: Sequence[str]) -> None:
         remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
         click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
     if unable:
-        raise SystemExit(FAILED)
+        click.get_current_context().exit(FAILED)
 
 
 def _drop_old_name(one: dict[str, Any]) -> dict[str, Any]:
