@@ -13,7 +13,6 @@ from labos.audit.projector import Projector
 from labos.audit.query import TIME_LIMIT_S, ReadConnection, open_asker
 from labos.cli._query import Where, open_database
 from labos.services.shown import ShownLog
-from labos.settings import Settings
 from labos.store import SqlEventStore, find_sqlite_path, open_blobs
 
 SHOWN_FROM = 20_000
@@ -24,7 +23,7 @@ SHOWN_FROM = 20_000
 def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase, Projector]]:
     """The log, its audit tables, and the projector that updates them."""
     with open_database(where) as store, closing(open_audit(where.url)) as database:
-        blobs = open_blobs(Settings.make(where.home, where.url).blobs)
+        blobs = open_blobs(where.settings.blobs)
         yield store, database, Projector(ShownLog(store), database, blobs)
 
 

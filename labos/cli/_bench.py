@@ -8,7 +8,6 @@ from labos.cli._complete import make_completer
 from labos.cli._options import (
     Asker,
     asker_options,
-    find_user,
     home_option,
     json_option_saying,
     user_option,
@@ -24,7 +23,7 @@ from labos.core.ids import local
 @json_option_saying("Print the consequences as JSON, for programs.")
 @user_option
 @home_option
-def observe(station: str, what: str, user: str | None, home: str | None) -> None:
+def observe(station: str, what: str, user: str, home: str | None) -> None:
     """Report an observation at STATION. WHAT is `empty`, the number of pieces, an id or barcode of labware,
     or a labware type. Without WHAT you report that something stands there.
 
@@ -41,7 +40,7 @@ def observe(station: str, what: str, user: str | None, home: str | None) -> None
     from labos.cli._lab import need_lab
 
     with need_lab(home) as client:
-        follows = client.observe(station, what, find_user(user))
+        follows = client.observe(station, what, user)
     end_with_json(follows)
     for labware, place in follows["found"].items():
         click.echo(f"{labware} stands at {local(place)}.")

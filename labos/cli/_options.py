@@ -126,6 +126,7 @@ user_option = click.option(
     "--user",
     envvar="LABOS_USER",
     metavar="NAME",
+    callback=lambda context, option, name: find_user(name),
     help="The requesting user (LABOS_USER; your login if not given).",
 )
 
@@ -133,13 +134,8 @@ user_option = click.option(
 class Asker(msgspec.Struct, frozen=True):
     """The lab and the user: the given options ``--user`` and ``--home``."""
 
-    name: str | None
+    user: str
     home: str | None
-
-    @property
-    def user(self) -> str:
-        """The user's name."""
-        return find_user(self.name)
 
     def lab(self) -> LabClient:
         """The lab to use. Raises NotFound if none runs."""
@@ -153,7 +149,7 @@ def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def wrap(*args: Any, home: str | None, **options: Any) -> Any:
-        return command(*args, asker=Asker(None, home), **options)
+        return command(*args, asker=Asker(find_user(None), home), **options)
 
     return home_option(json_option(wrap))
 
@@ -162,7 +158,7 @@ def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
 
     @wraps(command)
-    def wrap(*args: Any, user: str | None, home: str | None, **options: Any) -> Any:
+    def wrap(*args: Any, user: str, home: str | None, **options: Any) -> Any:
         return command(*args, asker=Asker(user, home), **options)
 
     return user_option(home_option(json_option(wrap)))

@@ -44,6 +44,11 @@ class Where(msgspec.Struct, frozen=True):
         last = last_kernel(self.home)
         return (last.database if last is not None else "") or name_own_database(self.home)
 
+    @property
+    def settings(self) -> Settings:
+        """The settings of the lab."""
+        return Settings.make(self.home, self.url)
+
 
 def name_own_database(home: Path) -> str:
     return f"sqlite:///{home / 'labos.db'}"
@@ -113,7 +118,7 @@ def open_contents(where: Where) -> Iterator[BlobReader]:
         with LabClient(where.lab) as client:
             yield LabFiles(client)
     else:
-        yield open_blobs(Settings.make(where.home, where.url).blobs)
+        yield open_blobs(where.settings.blobs)
 
 
 @contextmanager

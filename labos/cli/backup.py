@@ -12,7 +12,7 @@ from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json
 from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.services.retention import note_retention
-from labos.settings import Settings, was_simulated
+from labos.settings import was_simulated
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
 _DAY_NS = 86_400 * 10**9
@@ -65,14 +65,13 @@ def command(
     LabOS needs them to recognise a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
-    settings = Settings.make(where.home, where.url)
     with open_database(where) as store:
         made = backup(
             store,
-            open_blobs(settings.blobs),
+            open_blobs(where.settings.blobs),
             folder,
             key=key,
-            simulated=bool(was_simulated(settings)),
+            simulated=bool(was_simulated(where.settings)),
         )
     with closing(open_accounts(where.url)) as accounts:
         people = copy_accounts(accounts, made.lab, folder, now_ns(), key)

@@ -12,7 +12,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._lab import need_lab_of
-from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
+from labos.cli._options import Asker, asker_options, json_option, user_option
 from labos.cli._out import end_with_json, show_json, wants_json
 from labos.cli._query import Where, folder_and_json, log_options, open_database, open_log
 from labos.core.ids import workcell_of
@@ -110,7 +110,7 @@ def round_(
     path: str | None,
     simulated: bool,
     only_say: bool,
-    user: str | None,
+    user: str,
 ) -> None:
     """Check the bench, station by station, after the log has lost its last events. Nodes, a
     checkpoint or a journal then know later events than the log, or the log was restored from an older copy.
@@ -146,14 +146,14 @@ def round_(
         if not words and not wants_json():
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
-                ask(client, find_user(user))
+                ask(client, user)
                 only_say = only_say or not click.confirm(
                     "Is this complete, and has everybody left the workcell?"
                 )
         finish = not (only_say or (wants_json() and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
-            found = say(client, view, words, find_user(user), finish=finish)
+            found = say(client, view, words, user, finish=finish)
         answered = found["answered"]
         if answered:  # no question is open any more
             view = {**view, "stations": [{**station, "said": True} for station in view["stations"]]}

@@ -17,7 +17,6 @@ from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
-from labos.settings import Settings
 from labos.store import open_blobs
 
 
@@ -69,4 +68,4 @@ def make_bundle_of(
         ) from None
     beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).read_rotations(), words)
     with open_database(where) as store:
-        return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)
+        return make_bundle(store, open_blobs(where.settings.blobs), subject, beside)

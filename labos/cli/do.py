@@ -9,7 +9,6 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import (
-    find_user,
     json_option,
     lab_options,
     options_together,
@@ -117,7 +116,7 @@ def _carry_out(
     workcell: str | None,
     simulate: bool,
     placed: tuple[str, ...],
-    user: str | None,
+    user: str,
     priority: int,
     wait: bool,
     home: str | None,
@@ -131,7 +130,7 @@ def _carry_out(
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     job = RunRequest(
         step_text(module, action, arguments),
-        user=find_user(user),
+        user=user,
         workcell=workcell or module.rpartition("/")[0],
         placed=placed,
         priority=priority,

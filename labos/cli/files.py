@@ -26,7 +26,6 @@ from labos.services.history import find_position_at
 from labos.services.retention import note_retention
 from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
-from labos.settings import Settings
 from labos.store import FolderBlobs, open_blobs
 
 COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
@@ -115,7 +114,7 @@ def _show_unused(where: Where, keep_days: float | None) -> None:
             "Unused files can be listed only on the lab's computer, in the lab's folder.",
             remedy="Use --home there.",
         )
-    blobs = open_blobs(Settings.make(where.home, where.url).blobs)
+    blobs = open_blobs(where.settings.blobs)
     if keep_days is not None and not isinstance(blobs, FolderBlobs):
         raise BadInput(
             "LabOS does not remove files in an object store.",

@@ -17,7 +17,6 @@ from labos.cli._options import (
     Asker,
     asker_options,
     cert_option,
-    find_user,
     folder_home_option,
     json_option,
     user_option,
@@ -141,7 +140,7 @@ def _expect_home(settings: Settings, named: str | None) -> None:
 @folder_home_option
 @json_option
 def reset_epoch(
-    module: str, epoch: int | None, position: int | None, why: str, user: str | None, home: str | None
+    module: str, epoch: int | None, position: int | None, why: str, user: str, home: str | None
 ) -> None:
     """Correct a wrong number in MODULE's journal: an epoch that no kernel of the lab ever had, or an
     acknowledged position that the lab's log never reached.
@@ -162,7 +161,7 @@ def reset_epoch(
     path = Settings.make(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(find_user(user)), cut(why)))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
     report_done(f"{path}: {now} (it was {was}).", facts)
 

@@ -17,7 +17,6 @@ from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
 from labos.services.times import iso_time, show_time
-from labos.settings import Settings
 from labos.spec.findings import suggest_name
 from labos.store import find_lease_holder, find_silent_holder
 
@@ -57,7 +56,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         return
     from labos.services.notify import Outbox
 
-    path = _make_settings(where).notifications
+    path = where.settings.notifications
     found = []
     if path.is_file():
         outbox = Outbox(path, create=False)
@@ -94,7 +93,7 @@ def test(where: Where, contact: str) -> None:
     from labos.services.notify.channels import send
     from labos.services.notify.notifier import test_message
 
-    book: Book = load_contacts(_make_settings(where).contacts)
+    book: Book = load_contacts(where.settings.contacts)
     if contact not in book.contacts:
         remedy = suggest_name(contact, book.contacts, "contact")
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
@@ -120,7 +119,7 @@ def watch(where: Where) -> None:
     """
     from labos.bootstrap import find_contacts, make_notifier
 
-    settings = _make_settings(where)
+    settings = where.settings
     book = find_contacts(settings)
     if book is None:
         raise NotFound(
@@ -155,10 +154,6 @@ def _look(where: Where, notifier: Notifier) -> None:
         notifier.turn()
     except StoreError as error:
         click.echo(f"labos: {error}", err=True)
-
-
-def _make_settings(where: Where) -> Settings:
-    return Settings.make(where.home, where.url)
 
 
 def _list_facts(delivery: Delivery) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._lab import end_in_order, need_lab_of
-from labos.cli._options import find_user, user_option
+from labos.cli._options import user_option
 from labos.cli._orders import ask_order_setting
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.errors import LabosError
@@ -69,7 +69,7 @@ LOST_PAUSE_S = 5.0
 @user_option
 @log_options
 def command(
-    where: Where, pause_s: float, cells: tuple[str, ...], once: bool, user: str | None, **search: Any
+    where: Where, pause_s: float, cells: tuple[str, ...], once: bool, user: str, **search: Any
 ) -> None:
     """Search for a better order of the next steps and suggest it to a running lab, until Ctrl-C.
 
@@ -90,7 +90,7 @@ def command(
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, watch = find_user(user), CellWatch()
+    watch = CellWatch()
     planner = Planner(searches=ask_order_setting(where), **search)
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
@@ -102,7 +102,7 @@ def command(
                     for cell in cells or sorted(follower.state.lab.workcells):
                         if time.monotonic() < next_look.get(cell, 0.0):
                             continue
-                        if _suggest(follower.state, cell, planner, watch, client, asker):
+                        if _suggest(follower.state, cell, planner, watch, client, user):
                             next_look[cell] = time.monotonic() + pause_s
                     if once:
                         return

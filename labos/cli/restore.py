@@ -19,7 +19,7 @@ from labos.core.state import hash_state
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.services.log import fold_to
-from labos.settings import KernelInfo, Settings, announce, last_kernel
+from labos.settings import KernelInfo, announce, last_kernel
 from labos.store import (
     ERASURES,
     Blobs,
@@ -152,7 +152,7 @@ def put_back(
     found, state = verify_backup(folder, key=key, archive=archive)
     people = read_accounts_copy(folder, found.lab, key)
     target, source = (
-        blobs or open_blobs(Settings.make(where.home, where.url).blobs),
+        blobs or open_blobs(where.settings.blobs),
         FolderBlobs(folder / "blobs"),
     )
     for name in found.blobs:
@@ -183,7 +183,7 @@ def put_back(
         with closing(open_accounts(where.url)) as accounts:
             put_accounts_back(accounts, people)
     if last_kernel(where.home) is None:
-        place = str(Settings.make(where.home, where.url).blobs)
+        place = str(where.settings.blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
     return Restored(

@@ -12,7 +12,6 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._forecast import show_change, show_ways
 from labos.cli._options import (
-    find_user,
     json_option,
     lab_options,
     priority_option,
@@ -62,7 +61,7 @@ def command(
     workcell: str | None,
     simulate: bool,
     placed: tuple[str, ...],
-    user: str | None,
+    user: str,
     priority: int,
     home: str | None,
     database: str | None,
@@ -90,7 +89,7 @@ def command(
     values = read_payload(payloads)
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
-    job = RunRequest(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
+    job = RunRequest(text, values, user, workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
     if dry_run:
         forecast(job, home)

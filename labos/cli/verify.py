@@ -34,7 +34,6 @@ from labos.services.verification import (
     check_snapshot,
 )
 from labos.services.words_check import check_words
-from labos.settings import Settings
 from labos.store import (
     AccountsCopy,
     Damage,
@@ -220,7 +219,7 @@ def _find_first_position(
 
 def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     """The parts beside the chain; if a part cannot be checked, that is a fault too."""
-    settings = Settings.make(where.home, where.url)
+    settings = where.settings
     looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
         ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
