@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, assert_never
+from typing import Any
 
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
@@ -102,16 +102,12 @@ def on_leaving(rows: RowChanges, event: r.RunLeaving, head: Envelope, at: float)
 
 
 def on_run_ended(rows: RowChanges, event: r.RunEnd, head: Envelope, at: float) -> None:
-    run = rows.update(RUNS, event.run, ended_at_s=at, ended_position=head.position)
-    match event:
-        case r.RunCompleted():
-            run["status"] = "completed"
-        case r.RunFailed():
-            run["status"], run["why"], run["failure"] = "failed", event.why, event.kind
-        case r.RunCancelled():
-            run["status"], run["why"] = "cancelled", run["why"] or event.why
-        case _:
-            assert_never(event)
+    outcome = event.TYPE.rpartition(".")[2]
+    run = rows.update(RUNS, event.run, status=outcome, ended_at_s=at, ended_position=head.position)
+    if isinstance(event, r.RunFailed):
+        run["why"], run["failure"] = event.why, event.kind
+    elif isinstance(event, r.RunCancelled):
+        run["why"] = run["why"] or event.why
 
 
 # -- steps -------------------------------------------------------------------------------------

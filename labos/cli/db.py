@@ -77,7 +77,8 @@ def upgrade(where: Where) -> None:
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     if found.state == "older":
-        _advise_backup(where)
+        advice = f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}"
+        click.echo(advice, err=True)
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
@@ -176,7 +177,3 @@ def _describe_status(found: DatabaseStatus) -> str:
         case "older":
             return f"revision {found.revision}, older than {found.expected}: labos db upgrade"
     return f"revision {found.revision}, of a newer LabOS than this one ({found.expected}): upgrade LabOS"
-
-
-def _advise_backup(where: Where) -> None:
-    click.echo(f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)

@@ -75,12 +75,12 @@ def list_sentences(
         why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *list_questions(state, story.id)]
     found = [
-        f"#{step.index} {step.key!r} is {_describe_action(step.state)} on {local(step.module)} since "
+        f"#{step.index} {step.key!r} is in "
+        f"{'progress' if step.state == 'in flight' else 'an unknown state'} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
         + _describe_usual(state, story, step.index)
-        + _describe_setup(state, story, step.index)
-        + _companions(state, story, step.index)
+        + _describe_in_progress(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
@@ -125,24 +125,20 @@ def _describe_usual(state: LabState, story: RunHistory, index: int) -> str:
     return f"; it usually takes {show_span(usual_s)}, planned {show_span(planned_s)}"
 
 
-def _describe_setup(state: LabState, story: RunHistory, index: int) -> str:
-    """How long the set-up takes of the module for a step in progress."""
+def _describe_in_progress(state: LabState, story: RunHistory, index: int) -> str:
+    """How long the module is set up for a step in progress, and the other runs for which it carries it out at
+    the same time."""
+    text = ""
     for action in state.actions.open.values():
-        if (action.run, action.step) == (story.id, index):
-            flight = state.modules.by_name[action.module].in_flight.get(action.id)
-            if flight is not None and flight.setup_s:
-                return f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
-    return ""
-
-
-def _companions(state: LabState, story: RunHistory, index: int) -> str:
-    """The other runs for which the module carries out a step in progress at the same time."""
-    for action in state.actions.open.values():
-        if (action.run, action.step) == (story.id, index) and action.together:
-            open_ = [state.actions.open[name].run for name in action.together if name in state.actions.open]
-            others = [run for run in open_ if run != story.id]
-            return f"; together with {', '.join(others)}" if others else ""
-    return ""
+        if (action.run, action.step) != (story.id, index):
+            continue
+        flight = state.modules.by_name[action.module].in_flight.get(action.id)
+        if flight is not None and flight.setup_s:
+            text += f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
+        runs = [state.actions.open[name].run for name in action.together if name in state.actions.open]
+        others = [run for run in runs if run != story.id]
+        text += f"; together with {', '.join(others)}" if others else ""
+    return text
 
 
 def list_questions(state: LabState, run: str) -> list[str]:
@@ -158,10 +154,6 @@ def _explain_how(question: Intervention) -> str:
     if question.kind == PlannedWork.KIND:
         return f"labos confirm {question.id}"
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
-
-
-def _describe_action(state: str) -> str:
-    return "in progress" if state == "in flight" else "in an unknown state"
 
 
 def describe_progress(story: RunHistory) -> str:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
-import msgspec
+from msgspec import to_builtins
 
 from labos.cli._liveness import find_lab_now, open_current_log
 from labos.cli._out import end_with_json, show_table
@@ -39,7 +37,7 @@ def command(where: Where, everything: bool) -> None:
         now = find_lab_now(where.url, store.head())
         places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
     shown = [story for story in stories if everything or story.open]
-    end_with_json([_make_plain(story, places) for story in shown])
+    end_with_json([{**to_builtins(s), "open": s.open, "now": places.get(s.id, "")} for s in shown])
     answered = [story for story in shown if not story.open]
     if answered:
         rows = [_row(story) for story in answered]
@@ -84,7 +82,3 @@ def _row(story: InterventionHistory) -> tuple[str, ...]:
         ", ".join(story.about),
         story.text,
     )
-
-
-def _make_plain(story: InterventionHistory, places: dict[str, str]) -> dict[str, Any]:
-    return {**msgspec.to_builtins(story), "open": story.open, "now": places.get(story.id, "")}

@@ -57,7 +57,8 @@ def command(where: Where) -> None:
     first = list_shortfalls(found)
     if first:
         name, out = first[0]
-        click.echo(f"\nFirst: {_shorten_name(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
+        short = local(name).replace(":", " ")
+        click.echo(f"\nFirst: {short} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
 
 
 def _list_resource_cells(left: ResourceLeft) -> tuple[str, ...]:
@@ -95,7 +96,3 @@ def _list_waste_cells(left: WasteLeft) -> tuple[str, ...]:
     out = left.runs_out
     when = f"{show_time(out.at)}, run {out.run}" if out else ""
     return (local(left.station), str(left.room), str(left.capacity), str(left.promised), when)
-
-
-def _shorten_name(name: str) -> str:
-    return local(name).replace(":", " ")

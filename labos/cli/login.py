@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -99,18 +99,13 @@ def login(
         except NotFound:
             if device or code:
                 raise
-            found = _sign_in_by_password(
-                client, find_user(user or os.environ.get("LABOS_USER")), label, scope, days
-            )
+            name = find_user(user or os.environ.get("LABOS_USER"))
+            password = ask_password(f"Password of {name}")
+            found = client.sign_in(name, password, label=label, scope=scope, days=days)
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
     report_done(f"You are signed in as {found['user']} at {place}, until {until}.", facts)
-
-
-def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
-    password = ask_password(f"Password of {name}")
-    return client.sign_in(name, password, label=label, scope=scope, days=days)
 
 
 @click.command("logout")

@@ -178,7 +178,8 @@ def command(
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
-    head = VerifiedPart("log", damage.position if damage else end.position, _describe_log(fault, end))
+    told = fault or f"{end.position} records in an unbroken chain."
+    head = VerifiedPart("log", damage.position if damage else end.position, told)
     facts = {
         "whole": whole,
         "fault": fault or next(iter(others), ""),
@@ -236,10 +237,6 @@ def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
         except LabosError as error:
             found.append(VerifiedPart(name, 0, error.message, (str(error),)))
     return found
-
-
-def _describe_log(fault: str, end: Checkpoint) -> str:
-    return fault or f"{end.position} records in an unbroken chain."
 
 
 def _report_log(
