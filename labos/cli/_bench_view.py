@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 import msgspec
 
-from labos.cli._out import show_lines, show_table
+from labos.cli._out import count_each, show_lines, show_table
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.state import LabState
@@ -94,8 +94,8 @@ def _list_possible(state: LabState, plates: dict[str, str], there: dict[str, lis
 
 def show(sight: BenchView) -> None:
     """The bench as a table, and whether the log agrees."""
-    rows = [(_place(place), _count_kinds(plates)) for place, plates in sight.places.items()]
-    rows += [("on the floor", _count_kinds(sight.fallen))] if sight.fallen else []
+    rows = [(_place(place), count_each(plates)) for place, plates in sight.places.items()]
+    rows += [("on the floor", count_each(sight.fallen))] if sight.fallen else []
     show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")
     if sight.agrees:
         click.echo(f"The log agrees (after event {sight.position}).")
@@ -110,8 +110,3 @@ def _place(place: str) -> str:
     if place.startswith(HAND):
         return f"in the hand of {place.removeprefix(HAND)}"
     return f"on {place.removeprefix(LID)}" if place.startswith(LID) else place
-
-
-def _count_kinds(plates: tuple[str, ...]) -> str:
-    counts = {kind: plates.count(kind) for kind in plates}
-    return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in counts.items())

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import msgspec
-from click.core import ParameterSource
 
 from labos.cli._out import note_json
-from labos.cli._remote import expect_folder
+from labos.cli._remote import expect_folder, is_given
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -43,8 +42,7 @@ def refuse_password(context: click.Context, option: click.Parameter, url: str | 
     Raises BadInput."""
     from urllib.parse import parse_qs, urlsplit
 
-    given = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
-    parts = urlsplit(url if url and given else "")
+    parts = urlsplit(url if url and is_given(option.name or "") else "")
     if parts.password or "password" in parse_qs(parts.query):
         raise BadInput(
             "The URL after --database has a password, which all users of this computer can read in the list "

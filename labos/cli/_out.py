@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -53,6 +54,11 @@ def show_table(
     widths = [max(len(line[at]) for line in lines) for at in range(len(columns))]
     for line in lines:
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def count_each(things: Iterable[str]) -> str:
+    """``plate96, 2 × lid96``"""
+    return ", ".join(thing if n == 1 else f"{n} × {thing}" for thing, n in Counter(things).items())
 
 
 def show_lines(lines: Iterable[object], begin: str = "", *, err: bool = False) -> None:

@@ -22,8 +22,7 @@ def is_given(name: str) -> bool:
 def expect_folder(context: click.Context, option: click.Parameter, home: P) -> P:
     """Callback of ``--home`` of commands that start a lab or a node, or that work on files of a lab; all
     others ask the lab that LABOS_URL names. Raises BadInput if only that address of the lab is known."""
-    named = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
-    if not named and not os.environ.get(HOME) and lab_url():
+    if not is_given(option.name or "") and not os.environ.get(HOME) and lab_url():
         raise BadInput(
             f"`{context.command_path}` needs the folder of the lab, and {URL} names a lab by its address.",
             remedy="Name the folder with --home, on the computer where it is.",
@@ -33,8 +32,7 @@ def expect_folder(context: click.Context, option: click.Parameter, home: P) -> P
 
 def expect_folder_or_database(context: click.Context, option: click.Parameter, home: P) -> P:
     """As ``expect_folder``, for commands that also work with only a ``--database``."""
-    named = context.get_parameter_source("database") is ParameterSource.COMMANDLINE
-    return home if named else expect_folder(context, option, home)
+    return home if is_given("database") else expect_folder(context, option, home)
 
 
 def lab_of(home: str | None) -> str:

@@ -14,7 +14,7 @@ from labos.cli._query import Where, at_option, json_option, log_options
 from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
-from labos.services.describe import owner_name
+from labos.services.describe import describe_counts, owner_name
 from labos.services.history import find_position_at, list_possibly_at, list_stations
 from labos.services.labware import LabwareHistory, list_labware_histories
 from labos.services.log import Log, fold_to
@@ -133,8 +133,7 @@ def _rows(place: StationPlace) -> list[tuple[str, ...]]:
         return [(local(StationName(place.station)), place.kind, text, "", "")]
     lines: list[tuple[str, str, str]] = []
     if place.stock:
-        counts = {kind: place.stock.count(kind) for kind in place.stock}
-        lines.append((", ".join(f"{count} × {kind}" for kind, count in counts.items()), "", ""))
+        lines.append((describe_counts(place.stock), "", ""))
     for item in place.labware:
         lines.append((_describe_labware(item), owner_name(item["owner"]), show_time(item["since"])))
     if place.maybe:

@@ -9,7 +9,7 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import end_with_json, show_lines, show_table
+from labos.cli._out import count_each, end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
@@ -217,8 +217,8 @@ def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
     steps = sum(step.part == MAIN for step in plan.steps)
     click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
     show_lines(describe_choices(list_choices(compiled.plans)))
-    click.echo(f"Labware needed at the start: {_describe_places(verdict.inputs) or 'none'}.")
-    click.echo(f"Labware at the end: {_describe_places(verdict.outputs) or 'nowhere'}.")
+    click.echo(f"Labware needed at the start: {count_each(map(local, verdict.inputs)) or 'none'}.")
+    click.echo(f"Labware at the end: {count_each(map(local, verdict.outputs)) or 'nowhere'}.")
     show_lines(describe_certificate(verdict.certificate) if verdict.certificate else ())
     if verdict.copies is not None:
         click.echo(_describe_copies(verdict.copies))
@@ -226,11 +226,6 @@ def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
         show_table(("module", "status"), list(verdict.modules.items()), gap=True)
     if verdict.unreachable:
         click.echo(f"Not ready: {', '.join(verdict.unreachable)}.")
-
-
-def _describe_places(stations: tuple[StationName, ...]) -> str:
-    counts = {station: stations.count(station) for station in stations}
-    return ", ".join(local(name) if n == 1 else f"{n} × {local(name)}" for name, n in counts.items())
 
 
 def _describe_copies(copies: Capacity) -> str:
