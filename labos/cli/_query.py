@@ -156,3 +156,8 @@ AT_HELP = "A past moment: 2026-05-04T10:30, -2h, or a position of the log."
 
 def at_option(command: F) -> F:
     return click.option("--at", "moment", metavar="TIME|POSITION", callback=as_moment, help=AT_HELP)(command)
+
+
+def log_at_and_json(command: F) -> F:
+    """``log_and_json`` with ``--at``; the command also gets the ``moment``."""
+    return json_option(at_option(log_options(command)))

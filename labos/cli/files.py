@@ -9,15 +9,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_lines, show_table
-from labos.cli._query import (
-    Where,
-    at_option,
-    json_option,
-    log_options,
-    now_ns,
-    open_contents,
-    open_database,
-)
+from labos.cli._query import Where, log_at_and_json, now_ns, open_contents, open_database
 from labos.core.texts import CONTROL
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
@@ -54,9 +46,7 @@ SHORT = 12
     show_default=True,
     help="With --remove: the age of files to remove.",
 )
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(
     where: Where,
     run: str,

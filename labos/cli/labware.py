@@ -7,7 +7,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options
+from labos.cli._query import Where, log_at_and_json
 from labos.core.ids import local
 from labos.errors import NotFound
 from labos.services.describe import owner_name, shorten_value
@@ -24,9 +24,7 @@ from labos.services.times import Moment, show_span, show_time
     help="Show only labware that has left the bench, or only labware that is still there.",
 )
 @click.option("--barcode", metavar="CODE", help="Labware with this barcode, also if it has left the bench.")
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(
     where: Where, labware: str | None, gone: bool | None, barcode: str | None, moment: Moment
 ) -> None:

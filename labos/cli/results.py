@@ -10,7 +10,7 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_contents
+from labos.cli._query import Where, log_at_and_json, open_contents
 from labos.services.history import find_position_at
 from labos.services.results import COLUMNS, read_readings
 from labos.services.times import Moment, show_time
@@ -27,9 +27,7 @@ from labos.services.times import Moment, show_time
     metavar="FILE",
     help="Write the CSV to this file.",
 )
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(where: Where, run: str, as_csv: bool, file: TextIO | None, moment: Moment) -> None:
     """Show the results of RUN that have a value for each well, with the sample in the well.
 

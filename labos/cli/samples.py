@@ -13,7 +13,7 @@ from labos.cli._group import Suggesting
 from labos.cli._liveness import open_current_log
 from labos.cli._options import Asker, asker_options
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_contents
+from labos.cli._query import Where, log_at_and_json, open_contents
 from labos.core.wells import parse_well
 from labos.errors import NotFound
 from labos.services.history import find_position_at
@@ -69,9 +69,7 @@ def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> 
 @command.command("show")
 @click.argument("plate", shell_complete=make_completer("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="Print a sheet that can be loaded again.")
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def show(where: Where, plate: str, as_csv: bool, moment: Moment) -> None:
     """Show the samples of PLATE from its last sheet. The plate may have left the bench.
 

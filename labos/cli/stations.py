@@ -10,7 +10,7 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options
+from labos.cli._query import Where, log_at_and_json
 from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
@@ -44,9 +44,7 @@ class StationPlace(msgspec.Struct, frozen=True):
     "names", shell_complete=make_completer("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
 @click.option("--occupied", is_flag=True, help="Leave out empty stations.")
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(where: Where, names: tuple[str, ...], occupied: bool, moment: Moment) -> None:
     """Show the labware at each station, its owner, and since when it stands there.
 
