@@ -151,10 +151,7 @@ def put_back(
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key, archive=archive)
     people = read_accounts_copy(folder, found.lab, key)
-    target, source = (
-        blobs or open_blobs(where.settings.blobs),
-        FolderBlobs(folder / "blobs"),
-    )
+    target, source = blobs or open_blobs(where.settings.blobs), FolderBlobs(folder / "blobs")
     for name in found.blobs:
         target.put(source.get(name))
     epoch = leap_epoch(found.epoch, now_ns())

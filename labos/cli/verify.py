@@ -145,10 +145,13 @@ def command(
     if signed is not None and export:
         raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
-        if detached:
-            _verify_detached(folder, key)
-        else:
-            _verify_backup(folder, archive, key)
+        try:
+            if detached:
+                _verify_detached(folder, key)
+            else:
+                _verify_backup(folder, archive, key)
+        except LogDamaged as error:
+            _report_damage(error)
         return
     # The journals first: a request is in the log before its node receives it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
@@ -257,20 +260,15 @@ def _report_log(
 
 
 def _verify_backup(folder: Path, archive: Path | None, key: bytes) -> None:
-    try:
-        found, state = verify_backup(folder, key=key, archive=archive)
-        people = _accounts_of(folder, found.lab, key)
-    except LogDamaged as error:
-        _report_damage(error)
+    """Raises LogDamaged."""
+    found, state = verify_backup(folder, key=key, archive=archive)
+    people = _accounts_of(folder, found.lab, key)
     facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
     end_with_json(facts)
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
         f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs, all seals valid."
-        if key
-        else f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs."
+        f"{len(found.blobs)} blobs{', all seals valid' if key else ''}."
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {hash_state(state)}")
@@ -304,11 +302,9 @@ def _report_damage(error: LogDamaged) -> NoReturn:
 
 
 def _verify_detached(folder: Path, key: bytes) -> None:
-    try:
-        found = verify_detached(folder, key=key)
-        people = _accounts_of(folder, found.lab, key)
-    except LogDamaged as error:
-        _report_damage(error)
+    """Raises LogDamaged."""
+    found = verify_detached(folder, key=key)
+    people = _accounts_of(folder, found.lab, key)
     end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
     first, last = found.segments[0], found.segments[-1]
     seals = ", all seals valid" if found.sealed else ""
