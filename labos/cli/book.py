@@ -114,14 +114,15 @@ def _read_terms(given: Mapping[str, Any], zone: str, begins_at: int = 0) -> dict
     start, else from ``begins_at``. Raises BadInput."""
     from labos.cli._query import now_ns
 
+    now = now_ns()
     terms = {name: given[name] for name in ("whom", "why", "zone", "force")}
     terms["maintenance"] = given["maintenance"] or None
     if given["begins"] is not None:
-        terms["begins_at"] = begins_at = parse_when(given["begins"], now_ns(), zone)
+        terms["begins_at"] = begins_at = parse_when(given["begins"], now, zone)
     if given["ends"] is not None:
-        terms["ends_at"] = parse_when(given["ends"], now_ns(), zone, after=begins_at)
+        terms["ends_at"] = parse_when(given["ends"], now, zone, after=begins_at)
     if given["last"] is not None:
-        terms["last_at"] = parse_when(given["last"], now_ns(), zone)
+        terms["last_at"] = parse_when(given["last"], now, zone)
     if given["every"] is not None or given["rule"] is not None:
         terms["rule"] = rule_of(given["every"], given["rule"])
     return {name: value for name, value in terms.items() if value is not None}
