@@ -245,7 +245,7 @@ def find_last_start(state: LabState, run: RunState, step: int) -> int:
 def bring_forward(
     state: LabState, times: Mapping[tuple[RunId, int], int], now: int
 ) -> dict[tuple[RunId, int], int]:
-    """Suggested times, but none so late that a clock which runs would be late, if that can still be helped."""
+    """Suggested times, but none so late that a running clock would be late, if that can still be helped."""
     found: dict[tuple[RunId, int], int] = {}
     for (name, step), at in times.items():
         run = state.runs.active.get(name)
