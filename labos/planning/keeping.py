@@ -32,7 +32,7 @@ from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
-from labos.planning.suggested import find_order, find_suggested_order, find_suggested_times
+from labos.planning.suggested import bring_forward, find_order, find_suggested_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -215,6 +215,7 @@ class Windows:
         times = find_suggested_times(state, find_order(state, self._own, cell, now), now)
         if not times:
             return None
+        times = bring_forward(state, times, now)
         inside = state.runs.list_inside(cell)
         goes_on = {run.id for run in inside if not run.paused and not run.is_ending}
         if find_suggested_order(state, cell, now) is not None:

@@ -15,6 +15,7 @@ from labos.core.lengths import Times, make_kind
 from labos.core.model import Plan, Window
 from labos.core.runs import RunState
 from labos.core.shares import Usage
+from labos.core.suggestions import Suggested
 from labos.planner.overtakings import Overtakings
 from labos.planner.planner import Planner
 from labos.planner.problem import (
@@ -26,13 +27,14 @@ from labos.planner.problem import (
     choose_runs,
     problem_of,
 )
-from labos.planner.rehearsal import OrderRehearsal
+from labos.planner.rehearsal import OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
+from labos.planning.virtual import Play
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import SECOND, Driver, full, plan, step
 from tests.unit.planning.test_pilot import lab_with, way
-from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
+from tests.unit.planning.test_suggested import CELL, dose_and_read, make_lab, suggest, visit
 from tests.unit.planning.test_window_order import hurried
 
 
@@ -97,6 +99,43 @@ def test_an_order_that_came_out_worse_is_taken_back() -> None:
     order = find_order(Planner(solver=Fixed(first, second)), lab)
     assert order is not None
     assert order.steps == ()
+
+
+def test_a_step_takes_as_long_with_an_order_as_without() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    runs = [lab.submit(dose_and_read()) for _ in range(6)]
+    rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab))
+    steps = [Suggested(run, 0, lab.now + 300 * SECOND * n) for n, run in enumerate(reversed(runs))]
+    order = SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, tuple(steps))
+    ways = [rehearsal.go(None), rehearsal.go(order)]
+    rehearsal.is_as_good(ways[1], ways[0])
+    played = zip(*(way.plays for way in ways), strict=True)
+    for number, plays in enumerate(played):
+        took = [{run: play.ends[run] - play.begun[run, 4] for run in runs} for play in plays]
+        assert took[0] == took[1]
+        assert len(set(took[0].values())) == (len(runs) if number else 1), "drawn durations differ"
+    assert len(ways[0].plays) == 4
+
+
+def make_way(run: RunId, end: int, *missed: int) -> Way:
+    """A way that was played with durations of the plan first, and then with drawn ones."""
+    return Way(None, [Play(ends={run: end}, missed=times) for times in missed])
+
+
+def test_one_play_with_drawn_durations_does_not_decide() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    run, _ = lab.submit(dose_and_read()), lab.submit(dose_and_read())
+    rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab))
+    late, soon = lab.now + 2000 * SECOND, lab.now + 1500 * SECOND
+    before = make_way(run, late, 0, 0, 2, 1)
+    assert rehearsal.is_better(make_way(run, soon, 0, 1, 0, 1), before)
+    assert rehearsal.is_better(make_way(run, soon, 0, 1, 1, 1), before), (
+        "as many are missed, and all ends sooner"
+    )
+    assert not rehearsal.is_better(make_way(run, soon, 0, 2, 1, 1), before)
+    assert not rehearsal.is_better(make_way(run, soon, 1, 0, 0, 0), before), "with the durations of the plan"
 
 
 def test_nothing_is_changed_by_looking() -> None:
