@@ -45,7 +45,7 @@ class HudsonOnWire(OnWire):
         self.is_in_motion = False
         self._percent = 10.0
         self._lines: deque[str] = deque()
-        self._heard = b""
+        self._received = b""
         self.furnish(20, *self.stacks)
         own = {self.place(name): joints for name, joints in self.points.items()}
         taught = {
@@ -56,12 +56,12 @@ class HudsonOnWire(OnWire):
         self._spots = own | taught
         self._stacks = {self.place(name) for name in self.stacks}
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\n" in self._received:
+            line, _, self._received = self._received.partition(b"\n")
             self._lines.append(line.strip().decode("ascii", "replace"))
         self._obey_all()
 

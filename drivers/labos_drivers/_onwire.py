@@ -1,4 +1,4 @@
-"""Simulated devices behind a wire: they hear bytes, move in lab time, and speak when they like.
+"""Simulated devices behind a wire: they receive bytes, move in lab time, and send when they like.
 
 As with every simulated device, nothing here knows of effects or occupancy, nor of the driver at the
 other end.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from labos.link import FarEnd, HearingDevice, TimedDevice, serial_end
+from labos.link import FarEnd, ReceivingDevice, TimedDevice, serial_end
 from labos.node import Crash, Setup
 from labos_drivers._simulation import Simulated
 
@@ -29,8 +29,8 @@ class Timed(TimedDevice, Simulated):
         super().after(lab_s if exact else self.scatter(lab_s), what)
 
 
-class OnWire(Timed, HearingDevice):
-    """A device at the far end of a line; subclasses say what it does with what it hears (``hear``)."""
+class OnWire(Timed, ReceivingDevice):
+    """A device at the far end of a line; subclasses say what it does with what it receives (``receive``)."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup)

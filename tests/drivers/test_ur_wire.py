@@ -295,7 +295,7 @@ def test_garbled_and_late_answers_are_no_answers(arm: UROnWire, monkeypatch: pyt
             with pytest.raises(Garbled, match="no state of a program"):
                 await node.is_idle()
             monkeypatch.setattr(ur_driver, "ANSWER_S", 0.1)
-            monkeypatch.setattr(arm, "hear", lambda data: None)
+            monkeypatch.setattr(arm, "receive", lambda data: None)
             with pytest.raises(DeviceError, match="does not answer"):
                 await node.is_idle()
             monkeypatch.undo()

@@ -43,22 +43,22 @@ class SealerOnWire(OnWire):
         self._since_s = 0.0
         self._press_s = 3.0
         self._cycle_ends_s = 0.0
-        self._heard = b""
+        self._received = b""
         self._goal, self._ways, self._cycle = protocol.SHUTTLE_OUT, 0, False
 
     def power_on(self) -> None:
         self._stream()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while self._heard:
-            if match := COMMAND.match(self._heard):
-                self._heard = self._heard[match.end() :]
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while self._received:
+            if match := COMMAND.match(self._received):
+                self._received = self._received[match.end() :]
                 self._obey(match["name"].decode(), int(match["argument"] or 0))
-            elif (match := REST.match(self._heard)) and match.end():
-                self._heard = self._heard[match.end() :]
+            elif (match := REST.match(self._received)) and match.end():
+                self._received = self._received[match.end() :]
                 if match[0].startswith(b"*"):
                     self._send_answer(b"N01")
             else:

@@ -71,7 +71,7 @@ class DriveOnSlcan(OnWire):
         self._reached = True
         self._goal: float | None = None
         self._from, self._since_s, self._takes_s = self.stands, 0.0, 1.0
-        self._heard = b""
+        self._received = b""
         self._node: Any = None
         self._network: Any = None
 
@@ -104,10 +104,10 @@ class DriveOnSlcan(OnWire):
         node.add_write_callback(self._on_write)
         return network, node
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Lines of slcan: ``t`` with identifier, length and bytes is a message; the others set the adapter
         up."""
-        *lines, self._heard = (self._heard + data).split(b"\r")
+        *lines, self._received = (self._received + data).split(b"\r")
         for line in lines:
             if line[:1] == b"t" and self._network is not None:
                 size = int(line[4:5])

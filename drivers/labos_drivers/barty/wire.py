@@ -77,7 +77,7 @@ class BartyOnWire(OnWire):
                 self._shift(motion.facts["pump"], motion.facts["ml"])
         self._scripts: dict[int, Script] = {}
         self._since_s: dict[int, float] = {}
-        self._heard = b""
+        self._received = b""
 
     def make_end(self) -> FarEnd:
         return Daemon()
@@ -92,16 +92,16 @@ class BartyOnWire(OnWire):
         for pump in list(self._since_s):
             self._stop(pump, self.now_s())
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
+    def receive(self, data: bytes) -> None:
+        self._received += data
         size = protocol.HEADER.size
-        while len(self._heard) >= size:
-            command, p1, p2, more = protocol.HEADER.unpack_from(self._heard)
-            if len(self._heard) < size + more:
+        while len(self._received) >= size:
+            command, p1, p2, more = protocol.HEADER.unpack_from(self._received)
+            if len(self._received) < size + more:
                 return
-            text, self._heard = self._heard[size : size + more], self._heard[size + more :]
+            text, self._received = self._received[size : size + more], self._received[size + more :]
             result, extra = self._answer(command, p1, p2, text)
             self.say(protocol.HEADER.pack(command, p1, p2, result) + extra)
 

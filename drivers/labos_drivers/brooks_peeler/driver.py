@@ -36,7 +36,7 @@ class PeelerDriver(Wired):
             make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             Terminated(protocol.END),
             name=setup.name,
-            unasked=self._hear,
+            unasked=self._note_restart,
             identify=self._recognise,
             expected=WHO,
         )
@@ -175,7 +175,7 @@ class PeelerDriver(Wired):
         with self.under_way():
             while True:
                 line = self.link.receive(max(deadline - time.monotonic(), 0.0))
-                if self._hear(line) and self._restarted:
+                if self._note_restart(line) and self._restarted:
                     raise DeviceError(
                         f"{self.name}: the peeler restarted in mid-motion.",
                         remedy="Look at the plate, then reset the module.",
@@ -211,7 +211,7 @@ class PeelerDriver(Wired):
 
     # -- what the device says by itself ------------------------------------------------------
 
-    def _hear(self, line: bytes) -> bool:
+    def _note_restart(self, line: bytes) -> bool:
         if line.startswith((b"*poweron", b"*homing")):
             self._restarted = True
             return True

@@ -37,19 +37,19 @@ class PeelerOnWire(OnWire):
         self._busy = False
         self._moved = False
         self._used = 0
-        self._heard = b""
+        self._received = b""
         self._threshold = 500
 
     def power_on(self) -> None:
         if self._homes:
             self._restart()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\n" in self._received:
+            line, _, self._received = self._received.partition(b"\n")
             if not self._busy:
                 self._obey(line.strip().decode("ascii", "replace"))
 

@@ -42,23 +42,23 @@ class InhecoOnWire(OnWire):
         self._from_c, self._since_s = ROOM_C, 0.0
         self._set = (30, 30, 100, 100, 90)
         self._run = self._set
-        self._heard = b""
+        self._received = b""
 
     def pull(self, *, open_: bool) -> None:
         """Somebody moves the drawer by hand."""
         self.drawer = "1" if open_ else "0"
         self.world.gate("somebody", self.place("default"), shut=not open_)
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while self._heard and len(self._heard) > self._heard[0] > 3:
-            size = self._heard[0] + 1  # its length does not count itself
-            frame, self._heard = self._heard[:size], self._heard[size:]
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while self._received and len(self._received) > self._received[0] > 3:
+            size = self._received[0] + 1  # its length does not count itself
+            frame, self._received = self._received[:size], self._received[size:]
             self._take(frame)
-        if self._heard and self._heard[0] <= 3:
-            self._heard = b""  # noise
+        if self._received and self._received[0] <= 3:
+            self._received = b""  # noise
 
     def _take(self, frame: bytes) -> None:
         if frame[1] != 0x30 + protocol.USUAL_ID:

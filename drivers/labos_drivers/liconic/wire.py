@@ -30,18 +30,18 @@ class LiconicOnWire(OnWire):
         self._is_open = False
         self._error = 0
         self._from = {protocol.TEMPERATURE: (220.0, 0.0), protocol.HUMIDITY: (400.0, 0.0)}
-        self._heard = b""
+        self._received = b""
 
     def power_cycle(self) -> None:
         """Off and on: the conversation is closed, and the device has to be initialised."""
         self._is_open = self.ready = False
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\r" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\r")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\r" in self._received:
+            line, _, self._received = self._received.partition(b"\r")
             answer = self._answer(line.strip().decode("ascii", "replace"))
             self.say(answer.encode() + protocol.ANSWER_END)
 

@@ -99,7 +99,7 @@ class OT2OnWire(OnHttp):
             running.kill()
         self._running.clear()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(timeout_s)

@@ -59,7 +59,7 @@ class PF400OnWire(OnWire):
         self._motion = 0
         self._then: Callable[[], None] | None = None
         self._lines: deque[str] = deque()
-        self._heard = b""
+        self._received = b""
         self._deaf = False
         self.free_axes: set[int] = set()
         self._grips = {"open": protocol.NARROW.open_mm, "closed": protocol.NARROW.closed_mm}
@@ -85,12 +85,12 @@ class PF400OnWire(OnWire):
         """Somebody moves its fingers by hand, round a plate or away from one."""
         self.joints = (*self.joints[:4], width_mm, *self.joints[5:])
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\n" in self._received:
+            line, _, self._received = self._received.partition(b"\n")
             self._lines.append(line.strip().decode("ascii", "replace"))
         self._obey_all()
 

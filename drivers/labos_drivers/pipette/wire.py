@@ -29,18 +29,18 @@ class PipetteOnWire(OnWire):
         self._began_s, self._steps_s = 0.0, USUAL_STEPS_S
         self._busy = False
         self._error = 0
-        self._heard = b""
+        self._received = b""
 
     def put(self, position: int) -> None:
         """Somebody moves the plunger."""
         self.position = self._goal = position
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\r" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\r")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\r" in self._received:
+            line, _, self._received = self._received.partition(b"\r")
             text = line.lstrip(b"\n\0").decode("ascii", "replace")
             if text.startswith(f"/{protocol.ADDRESS.decode()}"):
                 self.say(self._answer(text[2:]))

@@ -36,7 +36,7 @@ class TecanOnWire(OnWire):
             self._feel()
         self._nm = 0.0
         self._at = (0, 0)
-        self._heard = b""
+        self._received = b""
         self._waiting: list[str] = []
 
     def push(self) -> None:
@@ -58,22 +58,22 @@ class TecanOnWire(OnWire):
                 self.open("default")  # it never came in
             self.after(0, self._stand_by, exact=True)
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while (begin := self._heard.find(protocol.STX)) >= 0:
-            end = self._heard.find(protocol.ETX, begin)
-            if end < 0 or len(self._heard) < end + 6:
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while (begin := self._received.find(protocol.STX)) >= 0:
+            end = self._received.find(protocol.ETX, begin)
+            if end < 0 or len(self._received) < end + 6:
                 return
-            text = self._heard[begin + 1 : end]
-            trailer = self._heard[end + 1 : end + 5]
-            self._heard = self._heard[end + 6 :]
+            text = self._received[begin + 1 : end]
+            trailer = self._received[end + 1 : end + 5]
+            self._received = self._received[end + 6 :]
             if trailer == bytes((0, 0, len(text) & 0xFF, protocol.check_sum(text))):
                 self._obey(text.decode("ascii", "replace"))
             else:
                 self._send("-")
-        self._heard = b""
+        self._received = b""
 
     def _send(self, text: str) -> None:
         self.say(frame(text))

@@ -65,7 +65,7 @@ class UROnWire(OnWire):
             entries = [{"program": configured}] if isinstance(configured, str) else configured
             for entry in entries if isinstance(entries, list) else ():
                 self.programs[entry["program"]] = {**entry, "does": action}
-        self._heard = b""
+        self._received = b""
         self._asked = b""
 
     @property
@@ -80,7 +80,7 @@ class UROnWire(OnWire):
         self.fingers.close()
         self.data.close()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(min(timeout_s, 0.002))
@@ -93,10 +93,10 @@ class UROnWire(OnWire):
                 seen = protocol.HELD_CLOSING if held else protocol.EMPTY
                 self.fingers.write(b"OBJ %d\n" % (protocol.MOVING if self.fingers_move else seen))
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while b"\n" in self._received:
+            line, _, self._received = self._received.partition(b"\n")
             self._line(self._answer(line.strip().decode("utf-8", "replace")))
 
     def _answer(self, line: str) -> str:
