@@ -68,7 +68,7 @@ class HudsonOnWire(OnWire):
     def _obey_all(self) -> None:
         while self._lines and not self.is_in_motion:
             line = self._lines.popleft()
-            self.say(line.encode() + END)
+            self.send(line.encode() + END)
             try:
                 self._obey(line)
             except (ValueError, IndexError):
@@ -230,7 +230,7 @@ class HudsonOnWire(OnWire):
         return Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
 
     def _send_data(self, text: str) -> None:
-        self.say(text.encode() + END)
+        self.send(text.encode() + END)
 
     def _send_result(self, code: int) -> None:
-        self.say(f"{code:04d}".encode() + END)
+        self.send(f"{code:04d}".encode() + END)

@@ -272,8 +272,8 @@ class SdoLink(_Bus):
         self._client.network = self._network
         self._network.subscribe(0x580 + self.node, self._client.on_response)
         if self._emergency is not None:
-            tell = self._emergency
-            self._network.subscribe(0x80 + self.node, lambda _, data, __: tell(bytes(data)))
+            report = self._emergency
+            self._network.subscribe(0x80 + self.node, lambda _, data, __: report(bytes(data)))
 
     def _disconnect(self) -> None:
         network, self._network = self._network, None

@@ -131,7 +131,7 @@ class ReceivingDevice(TimedDevice):
         """Bytes were received."""
         raise NotImplementedError
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         self.far_end.write(data)
 
 
@@ -166,6 +166,6 @@ class DeviceOnLine(ReceivingDevice):
         """The name in the world of a station of this device."""
         return self._place(station)
 
-    def tell(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         """Send a line."""
-        self.say(line.encode("ascii") + self.line_end)
+        self.send(line.encode("ascii") + self.line_end)

@@ -261,7 +261,7 @@ def test_a_question_that_fails_before_a_motion_has_no_effects(arm: PF400OnWire) 
     async def body() -> None:
         async with drive(arm) as node:
             arm._lines.clear()
-            arm._profile = lambda words: arm.say(b"noise\r\n")  # type: ignore[method-assign]
+            arm._profile = lambda words: arm.send(b"noise\r\n")  # type: ignore[method-assign]
             with pytest.raises(Garbled) as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "none"

@@ -212,14 +212,14 @@ class SealerOnWire(OnWire):
 
     def _send_status(self) -> None:
         self._send_record(self.make_status().body())
-        self.say(b"\r")
+        self.send(b"\r")
 
     def _send_answer(self, body: bytes) -> None:
         self._send_record(self.make_status().body())
         self._send_record(body)
         if body.startswith(b"N") and self.rejects_twice:
             self._send_record(b"Y00")
-        self.say(b"\r")
+        self.send(b"\r")
 
     def _send_record(self, body: bytes) -> None:
-        self.say(b"*" + body + check_sum(body) + b"!")
+        self.send(b"*" + body + check_sum(body) + b"!")

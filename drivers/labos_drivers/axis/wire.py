@@ -93,7 +93,7 @@ class DriveOnSlcan(OnWire):
             """canopen's network, with this adapter in the place of one of python-can."""
 
             def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-                device.say(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
+                device.send(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
 
         network = Network()
         node: Any = network.create_node(NODE, _make_dictionary(canopen.objectdictionary))
@@ -114,7 +114,7 @@ class DriveOnSlcan(OnWire):
                 body = bytes.fromhex(line[5 : 5 + 2 * size].decode())
                 self._network.notify(int(line[1:4], 16), bytearray(body), time.monotonic())
             elif line:
-                self.say(b"\r")
+                self.send(b"\r")
 
     def _on_read(self, index: int, subindex: int, od: Any) -> int | None:
         """The present value of an object; None if the dictionary has it."""

@@ -103,7 +103,7 @@ class BartyOnWire(OnWire):
                 return
             text, self._received = self._received[size : size + more], self._received[size + more :]
             result, extra = self._answer(command, p1, p2, text)
-            self.say(protocol.HEADER.pack(command, p1, p2, result) + extra)
+            self.send(protocol.HEADER.pack(command, p1, p2, result) + extra)
 
     def _answer(self, command: int, p1: int, p2: int, text: bytes) -> tuple[int, bytes]:
         script = self._scripts.get(p1)

@@ -185,4 +185,4 @@ class PeelerOnWire(OnWire):
         self._send_line("*ready:{:02d},{:02d},{:02d}".format(*self.codes))
 
     def _send_line(self, text: str) -> None:
-        self.say(text.encode() + protocol.END)
+        self.send(text.encode() + protocol.END)

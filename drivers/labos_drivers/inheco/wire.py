@@ -73,7 +73,7 @@ class InhecoOnWire(OnWire):
             self._answer("", protocol.BAD_COMMAND)
 
     def _answer(self, text: str, error: int) -> None:
-        self.say(protocol.make_answer(text, error))
+        self.send(protocol.make_answer(text, error))
 
     def _obey(self, name: str, arguments: str) -> tuple[str, int]:
         if self._tells_reset:

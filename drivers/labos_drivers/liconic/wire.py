@@ -43,7 +43,7 @@ class LiconicOnWire(OnWire):
         while b"\r" in self._received:
             line, _, self._received = self._received.partition(b"\r")
             answer = self._answer(line.strip().decode("ascii", "replace"))
-            self.say(answer.encode() + protocol.ANSWER_END)
+            self.send(answer.encode() + protocol.ANSWER_END)
 
     def _answer(self, line: str) -> str:
         if line == "CR":

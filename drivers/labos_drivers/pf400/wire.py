@@ -514,12 +514,12 @@ class PF400OnWire(OnWire):
         self.after(lab_s, end)
 
     def _send_done(self, data: str = "") -> None:
-        self.say((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
+        self.send((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
 
     def _refuse(self, code: int) -> None:
         fault = protocol.FAULTS.get(code)
         text = fault.meaning if fault else "refused"
-        self.say(f"{code} *{text}*".encode() + protocol.ANSWER_END)
+        self.send(f"{code} *{text}*".encode() + protocol.ANSWER_END)
 
 
 def _name_grip(width: float) -> str:

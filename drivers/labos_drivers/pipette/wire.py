@@ -43,7 +43,7 @@ class PipetteOnWire(OnWire):
             line, _, self._received = self._received.partition(b"\r")
             text = line.lstrip(b"\n\0").decode("ascii", "replace")
             if text.startswith(f"/{protocol.ADDRESS.decode()}"):
-                self.say(self._answer(text[2:]))
+                self.send(self._answer(text[2:]))
 
     def _answer(self, text: str) -> bytes:
         if text == "Q":

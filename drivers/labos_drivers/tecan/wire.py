@@ -76,10 +76,10 @@ class TecanOnWire(OnWire):
         self._received = b""
 
     def _send(self, text: str) -> None:
-        self.say(frame(text))
+        self.send(frame(text))
 
     def _numbers(self, packet: bytes) -> None:
-        self.say(frame(f"{len(packet)},BIN:") + packet + bytes(4))
+        self.send(frame(f"{len(packet)},BIN:") + packet + bytes(4))
 
     def _obey(self, command: str) -> None:
         queries = {

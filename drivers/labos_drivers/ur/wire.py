@@ -275,4 +275,4 @@ class UROnWire(OnWire):
         self.safety = protocol.PROTECTIVE
 
     def _line(self, text: str) -> None:
-        self.say(text.encode() + protocol.END)
+        self.send(text.encode() + protocol.END)
