@@ -343,10 +343,9 @@ class HudsonDriver(Wired):
         full = place_of(self._setup, place)
         taught = poses.get(full)
         if taught is not None and len(taught) != 4:
-            raise DeviceError(
-                f"{self.name}: the place {place} was taught with {len(taught)} axes, not four.",
-                effects="none",
-                remedy="Teach it again: `locations:` of the workcell file.",
+            raise self.make_refusal(
+                f"the place {place} was taught with {len(taught)} axes, not four",
+                "Teach it again: `locations:` of the workcell file.",
             )
         if taught and any(taught):
             axes = dict(zip(self.dialect.order, map(float, taught), strict=True))
@@ -357,10 +356,9 @@ class HudsonDriver(Wired):
         for axis, value in zip("RZPY", pose.as_tuple(), strict=True):
             low, high = self._limits[axis]
             if not low <= value <= high:
-                raise DeviceError(
-                    f"{self.name}: {place} is out of reach: {axis} at {value:g}, limits {low:g} to {high:g}.",
-                    effects="none",
-                    remedy="Teach the place again.",
+                raise self.make_refusal(
+                    f"{place} is out of reach: {axis} at {value:g}, limits {low:g} to {high:g}",
+                    "Teach the place again.",
                 )
         return pose
 
@@ -368,10 +366,9 @@ class HudsonDriver(Wired):
         try:
             return self.dialect.read(self._ask(f"GETPOINT {name}", self._is_position))
         except (_Refused, ValueError) as error:
-            raise DeviceError(
-                f"{self.name}: the place {place} was not taught, and the device has no point {name}.",
-                effects="none",
-                remedy="Teach it: `locations:` of the workcell file.",
+            raise self.make_refusal(
+                f"the place {place} was not taught, and the device has no point {name}",
+                "Teach it: `locations:` of the workcell file.",
             ) from error
 
     def _is_position(self, text: str) -> bool:

@@ -11,10 +11,10 @@ from collections.abc import Collection
 from difflib import get_close_matches
 from typing import Any, get_args
 
-from labos.errors import DeviceError
 from labos.link import SerialWire
 from labos.link.serial import Parity
 from labos.node import Setup
+from labos_drivers._refusals import make_refusal
 
 BYTESIZES, STOPBITS = (5, 6, 7, 8), (1, 1.5, 2)
 
@@ -26,22 +26,24 @@ def read_deadlines(setup: Setup, known: Collection[str]) -> dict[str, float]:
         return {}
     names = ", ".join(known)
     if not known:
-        raise _make_error(setup, "this driver has no `deadlines:` that could be set.", "Leave them out.")
+        raise make_refusal(setup.name, "this driver has no `deadlines:` that could be set", "Leave them out.")
     if not isinstance(configured, dict):
-        raise _make_error(setup, f"`deadlines:` is {configured!r}.", f"Write seconds by name, of: {names}.")
+        raise make_refusal(
+            setup.name, f"`deadlines:` is {configured!r}", f"Write seconds by name, of: {names}."
+        )
     for name in configured:
         if name not in known:
             close = get_close_matches(str(name), known, 1)
             hint = f"Did you mean {close[0]!r}? " if close else ""
-            raise _make_error(setup, f"`deadlines:` has no {name!r}.", f"{hint}There are: {names}.")
+            raise make_refusal(setup.name, f"`deadlines:` has no {name!r}", f"{hint}There are: {names}.")
     return {name: _read_seconds(setup, name, value) for name, value in configured.items()}
 
 
 def _read_seconds(setup: Setup, name: str, configured: Any) -> float:
     value = _parse_seconds(configured) if isinstance(configured, str) else configured
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise _make_error(
-            setup, f"`deadlines: {name}:` is {configured!r}.", "Write seconds, or a text as `10 min`."
+        raise make_refusal(
+            setup.name, f"`deadlines: {name}:` is {configured!r}", "Write seconds, or a text as `10 min`."
         )
     return float(value)
 
@@ -64,7 +66,7 @@ def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: P
     config = setup.config
     found = config.get("baudrate", baudrate)
     if isinstance(found, bool) or not isinstance(found, int) or found <= 0:
-        raise _make_error(setup, f"`baudrate:` is {found!r}.", f"As shipped: {baudrate}.")
+        raise make_refusal(setup.name, f"`baudrate:` is {found!r}", f"As shipped: {baudrate}.")
     chosen = {
         "parity": _read_choice(setup, "parity", get_args(Parity), parity),
         "bytesize": _read_choice(setup, "bytesize", BYTESIZES, 8),
@@ -77,11 +79,7 @@ def _read_choice(setup: Setup, key: str, choices: Collection[Any], usual: Any) -
     configured = setup.config.get(key, usual)
     if isinstance(configured, bool) or configured not in choices:
         names = ", ".join(map(str, choices))
-        raise _make_error(
-            setup, f"`{key}:` is {configured!r}.", f"Write one of {names}. As shipped: {usual}."
+        raise make_refusal(
+            setup.name, f"`{key}:` is {configured!r}", f"Write one of {names}. As shipped: {usual}."
         )
     return configured
-
-
-def _make_error(setup: Setup, what: str, remedy: str) -> DeviceError:
-    return DeviceError(f"{setup.name}: {what}", effects="none", remedy=remedy)

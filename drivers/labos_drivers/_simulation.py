@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 
 from labos.node import DeviceError, Node, Setup
 from labos.node.world import lid_of
+from labos_drivers._refusals import Refusing, make_refusal
 
 T = TypeVar("T")
 
@@ -22,7 +23,7 @@ JITTER = 0.1
 """Real durations scatter by this fraction about the nominal one."""
 
 
-class Simulated:
+class Simulated(Refusing):
     """A device on the simulated bench. Raises DeviceError if there is no bench."""
 
     drawers: tuple[str, ...] = ()
@@ -30,10 +31,10 @@ class Simulated:
 
     def __init__(self, setup: Setup) -> None:
         if setup.world is None:
-            raise DeviceError(
-                f"{setup.name}: there is no simulated bench for this device.",
-                effects="none",
-                remedy="Start the node with --simulate; this driver drives no real device yet.",
+            raise make_refusal(
+                setup.name,
+                "there is no simulated bench for this device",
+                "Start the node with --simulate; this driver drives no real device yet.",
             )
         self.name = setup.name
         self.world = setup.world
@@ -174,11 +175,7 @@ class Gated(Simulated):
     def check_closed(self) -> None:
         """Raise DeviceError if the lid is open; nothing has moved then."""
         if not self.is_closed():
-            raise DeviceError(
-                f"{self.name}: the {self.variable} is open.",
-                effects="none",
-                remedy=f"Close the {self.variable} first.",
-            )
+            raise self.make_refusal(f"the {self.variable} is open", f"Close the {self.variable} first.")
 
     def is_closed(self) -> bool:
         return self.world.is_shut(self.place(self.behind[0]))

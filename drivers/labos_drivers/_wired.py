@@ -19,6 +19,7 @@ from labos.link.life import Life
 from labos.node import Setup, see_unit, under_way
 from labos.node.worker import Worker
 from labos_drivers._limits import read_deadlines
+from labos_drivers._refusals import Refusing, make_refusal
 from labos_drivers._simulation import Instrument, Simulated
 
 D = TypeVar("D", bound="Wired")
@@ -69,7 +70,7 @@ def during_motion(
     return call
 
 
-class Wired:
+class Wired(Refusing):
     """Base of drivers, which set ``link``. ``simulator`` is the simulated device behind the wire, if
     there is one; ``where`` is the key of the workcell file that names a real one, with an example;
     ``deadlines`` are those that the file may set."""
@@ -201,10 +202,10 @@ def find_address(setup: Setup, key: str, example: str) -> str:
     """The address of the module's device, from the workcell file. Raises DeviceError."""
     address = setup.config.get(key)
     if not isinstance(address, str) or not address:
-        raise DeviceError(
-            f"{setup.name}: the workcell names no {key} for this device.",
-            effects="none",
-            remedy=f"Write `config: {{{key}: {example}}}` for the module, or start with --simulate.",
+        raise make_refusal(
+            setup.name,
+            f"the workcell names no {key} for this device",
+            f"Write `config: {{{key}: {example}}}` for the module, or start with --simulate.",
         )
     return address
 

@@ -6,6 +6,7 @@ import re
 from typing import Annotated, Any
 
 from labos.node import DeviceError, Param, action
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.barty.driver import LEAST_ML, MOST_ML, BartyDriver, check_dose
 from labos_drivers.barty.simulator import BartySimulator
@@ -61,7 +62,7 @@ class Barty(OnBenchOrWire):
         if name == "reset" or not isinstance(self.device, BartyDriver):
             return await super().take_up(name, handle)
         if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+            raise make_refusal(self.setup.name, "nothing was started")
         return await self.device.follow(handle)
 
     def _pump_of(self, motor: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from labos.errors import DeviceError
 from labos_drivers.gateway.driver import GatewayDriver
 
 LARGEST_PROGRAM = 999
@@ -23,5 +22,5 @@ class BiometraDriver(GatewayDriver):
 
     async def run_program(self, number: int) -> None:
         if number > LARGEST_PROGRAM:
-            raise DeviceError(f"{self.name}: there is no program {number}.", effects="none")
+            raise self.make_refusal(f"there is no program {number}")
         await self.call("run_program", number=number)

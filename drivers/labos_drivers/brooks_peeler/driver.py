@@ -55,10 +55,8 @@ class PeelerDriver(Wired):
         """Check that the plate has a seal: what a peel does without one is not published. Raises
         DeviceError."""
         if self._look_for_seal() != "sealed":
-            raise DeviceError(
-                f"{self.name}: XPeel seal check 00: no seal on the plate.",
-                effects="none",
-                remedy="Look at the plate before going on.",
+            raise self.make_refusal(
+                "XPeel seal check 00: no seal on the plate", "Look at the plate before going on."
             )
 
     @staticmethod
@@ -81,9 +79,7 @@ class PeelerDriver(Wired):
             codes = self._read_last_codes()
             self._ask_tape_left()
         if not command:
-            raise DeviceError(
-                f"{self.name}: only the seal was looked for; the peel was never begun.", effects="none"
-            )
+            raise self.make_refusal("only the seal was looked for; the peel was never begun")
         if not self._tape:
             raise OutcomeUnknown(f"{self.name} has been switched off since, and has no record of the peel")
         if protocol.SEAL in codes:

@@ -18,6 +18,7 @@ from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
 from labos.node import under_way
 from labos.node.secrets import read_secret
+from labos_drivers._refusals import make_refusal
 from labos_drivers.camera.vision import Picture, cv, decode
 
 T = TypeVar("T")
@@ -245,10 +246,8 @@ class StoredPictures(Life):
 
 def make_focus_error(name: str) -> DeviceError:
     """The error for a source whose focus cannot be set."""
-    return DeviceError(
-        f"{name}: the focus of this camera cannot be set.",
-        effects="none",
-        remedy="Leave `focus` out, and focus by hand.",
+    return make_refusal(
+        name, "the focus of this camera cannot be set", "Leave `focus` out, and focus by hand."
     )
 
 
@@ -263,10 +262,10 @@ def _make_authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
         return {}
     password = read_secret(config, "password")
     if not password:
-        raise DeviceError(
-            f"{name}: `config:` has the user {user!r}, but no password.",
-            effects="none",
-            remedy="Write `password_env` (a variable of this node) or `password_file`.",
+        raise make_refusal(
+            name,
+            f"`config:` has the user {user!r}, but no password",
+            "Write `password_env` (a variable of this node) or `password_file`.",
         )
     digest = base64.b64encode(f"{user}:{password}".encode()).decode()
     return {"Authorization": f"Basic {digest}"}

@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos.errors import DeviceError
 from labos_drivers.gateway.driver import GatewayDriver
 
 PROGRAM = re.compile(r"[\w .\-]{1,100}")
@@ -31,10 +30,8 @@ class ChemspeedDriver(GatewayDriver):
         lengths: Sequence[float] = (),
     ) -> None:
         if not PROGRAM.fullmatch(program):
-            raise DeviceError(
-                f"{self.name}: {program[:40]!r} is no name of a program.",
-                effects="none",
-                remedy="Name it as AutoSuite does, without a folder.",
+            raise self.make_refusal(
+                f"{program[:40]!r} is no name of a program", "Name it as AutoSuite does, without a folder."
             )
         recipe: dict[str, Any] = {}
         if wells:

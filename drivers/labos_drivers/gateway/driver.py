@@ -12,6 +12,7 @@ from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeU
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import handle_keeper
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, OnBenchOrWire, Wired, during_motion, off_loop
 
 ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
@@ -135,10 +136,9 @@ class GatewayDriver(Wired):
         else:
             if reply.status in REFUSALS:
                 self._forget_another(answer)
-                raise DeviceError(
-                    f"{self.name}: {action} is refused: {answer.get('error')}.",
-                    effects="none",
-                    remedy=str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
+                raise self.make_refusal(
+                    f"{action} is refused: {answer.get('error')}",
+                    str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
                 )
             entry = self._check_reply(reply)
         return self._await_end(start, entry)
@@ -152,7 +152,7 @@ class GatewayDriver(Wired):
             case "succeeded":
                 return entry.get("result")
             case "void" if entry.get("journal") == start.journal:
-                raise DeviceError(f"{self.name}: the gateway never heard of the action.", effects="none")
+                raise self.make_refusal("the gateway never heard of the action")
             case "void":
                 self._forget_another(entry)
                 raise OutcomeUnknown(f"{self.name}: the gateway has lost the journal in which it stood.")
@@ -235,5 +235,5 @@ class GatewayInstrument(OnBenchOrWire):
         if name == "reset" or not isinstance(self.device, GatewayDriver):
             return await super().take_up(name, handle)
         if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+            raise make_refusal(self.setup.name, "nothing was started")
         return await self.device.follow(handle)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.errors import DeviceError, Garbled
+from labos.errors import Garbled
 from labos_drivers.gateway.driver import GatewayDriver
 
 LONGEST_NAME = 100
@@ -50,8 +50,7 @@ class HidexDriver(GatewayDriver):
     def _check_assay(self, assay: str) -> None:
         """Raise DeviceError for what cannot be the name of a template."""
         if not assay or len(assay) > LONGEST_NAME or not assay.isprintable():
-            raise DeviceError(
-                f"{self.name}: {assay[:40]!r} is no name of an assay.",
-                effects="none",
-                remedy="Name a template as the reader's own software has it.",
+            raise self.make_refusal(
+                f"{assay[:40]!r} is no name of an assay",
+                "Name a template as the reader's own software has it.",
             )

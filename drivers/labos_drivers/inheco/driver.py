@@ -11,6 +11,7 @@ from labos.errors import DeviceError, Garbled
 from labos.link import Link
 from labos.node import Setup
 from labos_drivers._limits import make_serial_wire
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.inheco import protocol
 
@@ -67,7 +68,7 @@ class InhecoDriver(Wired):
 
     def _move_drawer(self, command: str, goal: str) -> None:
         if self._ask("RSE", "[012]") != "0":
-            raise DeviceError(f"{self.name}: it shakes.", effects="none", remedy="Stop shaking first.")
+            raise self.make_refusal("it shakes", "Stop shaking first.")
         self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
         with self.under_way():
@@ -126,11 +127,9 @@ class InhecoDriver(Wired):
         first."""
         with self.motion():
             if self._ask("RTS", "[0-3]") not in (protocol.MP_SHAKER, protocol.DWP_SHAKER):
-                raise DeviceError(f"{self.name}: this incubator has no shaker.", effects="none")
+                raise self.make_refusal("this incubator has no shaker")
             if self._read_drawer() != "0":
-                raise DeviceError(
-                    f"{self.name}: the door is not closed.", effects="none", remedy="Close the door first."
-                )
+                raise self.make_refusal("the door is not closed", "Close the door first.")
             if self._ask("RSE", "[012]") != "0":
                 self._stop_shaking()
             tenths_hz, tenths_mm = round(rpm / 6), round(amplitude_mm * 10)
@@ -279,7 +278,5 @@ def read_integer(setup: Setup, key: str, usual: int, low: int, high: int) -> int
     """A whole number of the configuration. Raises DeviceError."""
     configured = setup.config.get(key, usual)
     if isinstance(configured, bool) or not isinstance(configured, int) or not low <= configured <= high:
-        raise DeviceError(
-            f"{setup.name}: `{key}:` is {configured!r}.", effects="none", remedy=f"Write {low} to {high}."
-        )
+        raise make_refusal(setup.name, f"`{key}:` is {configured!r}", f"Write {low} to {high}.")
     return configured

@@ -76,11 +76,7 @@ class LiconicSimulator(Simulated):
 
     async def unload_plate(self, stacker: int, slot: int) -> None:
         if self.top(self.place("exchange")):
-            raise DeviceError(
-                f"{self.name}: a plate stands on the transfer station.",
-                effects="none",
-                remedy="Take it away.",
-            )
+            raise self.make_refusal("a plate stands on the transfer station", "Take it away.")
         await self._shovel(slot_name(stacker, slot), "exchange", 18)
 
     async def store(self) -> str:
@@ -90,19 +86,15 @@ class LiconicSimulator(Simulated):
             if not self.world.at(self.place(slot)):
                 await self._shovel("exchange", slot, 20)
                 return slot
-        raise DeviceError(
-            f"{self.name}: stacker {OWN} is full.", effects="none", remedy="Take a plate out first."
-        )
+        raise self.make_refusal(f"stacker {OWN} is full", "Take a plate out first.")
 
     async def retrieve(self, slot: str) -> None:
         """Bring the plate from the slot that ``store`` told; without one, the only plate there is."""
         if not slot:
             full = [s for s in (slot_name(OWN, n) for n in range(1, SLOTS + 1)) if self.top(self.place(s))]
             if len(full) != 1:
-                raise DeviceError(
-                    f"{self.name}: there are {len(full)} plates in stacker {OWN}; nobody said which.",
-                    effects="none",
-                    remedy="Name the slot.",
+                raise self.make_refusal(
+                    f"there are {len(full)} plates in stacker {OWN}; nobody said which", "Name the slot."
                 )
             (slot,) = full
         await self._shovel(slot, "exchange", 18)

@@ -82,10 +82,9 @@ class MiRDriver(Wired):
         self._set_state(protocol.READY)
         status = self._read_status()
         if status["state_id"] not in (protocol.READY, protocol.EXECUTING):
-            raise DeviceError(
-                f"{self.name}: it is not ready, but {status.get('state_text')}.",
-                effects="none",
-                remedy="Release its emergency stop and turn its key to automatic, then reset the module.",
+            raise self.make_refusal(
+                f"it is not ready, but {status.get('state_text')}",
+                "Release its emergency stop and turn its key to automatic, then reset the module.",
             )
 
     @during_motion
@@ -308,9 +307,7 @@ class MiRDriver(Wired):
             why = json.loads(reply.body)["error_human"]
         except (ValueError, KeyError, TypeError):
             why = f"status {reply.status}"
-        raise DeviceError(
-            f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Check the robot."
-        )
+        raise self.make_refusal(f"the robot refuses: {why}", "Check the robot.")
 
     def _parse_list(self, reply: HttpReply) -> list[Any]:
         """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""

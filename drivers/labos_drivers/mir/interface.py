@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from labos.node import DeviceError, Param, Sets, Station, action
+from labos.node import Param, Sets, Station, action
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.mir.driver import MiRDriver
 from labos_drivers.mir.simulator import MiRSimulator
@@ -39,5 +40,5 @@ class MiR(OnBenchOrWire):
         if name == "reset" or not isinstance(self.device, MiRDriver):
             return await super().take_up(name, handle)
         if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+            raise make_refusal(self.setup.name, "nothing was started")
         return await self.device.follow(handle)

@@ -13,6 +13,7 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.ot2 import protocol
 from labos_drivers.ot2.deck import read_definitions, read_offsets
@@ -109,7 +110,7 @@ class OT2Driver(Wired):
                 except _Forgotten as error:
                     raise OutcomeUnknown(error.message) from error
             if not begun:
-                raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
+                raise self.make_refusal(f"the run {run} was never started")
             return self._await_end(run)
 
     @during_motion
@@ -183,14 +184,10 @@ class OT2Driver(Wired):
         """Name and content of the file, in the form that the robot takes. Raises DeviceError."""
         file = Path(path)
         if not file.is_file():
-            raise DeviceError(
-                f"{self.name}: there is no protocol file {path}.", effects="none", remedy="Check its name."
-            )
+            raise self.make_refusal(f"there is no protocol file {path}", "Check its name.")
         content = file.read_bytes()
         if len(content) > LARGEST:
-            raise DeviceError(
-                f"{self.name}: {file.name} has {len(content)} bytes; {LARGEST} are allowed.", effects="none"
-            )
+            raise self.make_refusal(f"{file.name} has {len(content)} bytes; {LARGEST} are allowed")
         _check_volumes(self.name, values)
         match file.suffix.lower():
             case ".py":
@@ -199,10 +196,8 @@ class OT2Driver(Wired):
                 return file.name, content
             case ".yaml" | ".yml":
                 return f"{file.stem}.py", protocol.with_values(translate(file.name, content), values)
-        raise DeviceError(
-            f"{self.name}: {file.name} is not a protocol for an OT-2.",
-            effects="none",
-            remedy="Write it in Python, as a JSON protocol or as YAML.",
+        raise self.make_refusal(
+            f"{file.name} is not a protocol for an OT-2", "Write it in Python, as a JSON protocol or as YAML."
         )
 
     def _await_analysis(self, name: str) -> None:
@@ -229,10 +224,7 @@ class OT2Driver(Wired):
                     )
                 return
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"{self.name}: the protocol was not analysed within {limit_s:g} s.",
-                    effects="none",
-                )
+                raise self.make_refusal(f"the protocol was not analysed within {limit_s:g} s")
             time.sleep(POLL_S)
 
     def _play(self, run: str) -> None:
@@ -416,9 +408,6 @@ def _check_volumes(name: str, values: Mapping[str, Any]) -> None:
         which = "source" if key == "source_volumes" else "destination"
         wells = values.get(f"{which}_wells") or []
         if len(volumes) != len(wells):
-            raise DeviceError(
-                f"{name}: {key} has {len(volumes)} volumes for {len(wells)} {which} wells.",
-                effects="none",
-            )
+            raise make_refusal(name, f"{key} has {len(volumes)} volumes for {len(wells)} {which} wells")
         if not all(math.isfinite(volume) and volume >= 0 for volume in volumes):
-            raise DeviceError(f"{name}: {key} has volumes below 0.", effects="none")
+            raise make_refusal(name, f"{key} has volumes below 0")

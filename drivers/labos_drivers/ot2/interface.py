@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar
 
 from labos.core.counts import Counter
-from labos.node import Consumes, DeviceError, Draws, Needs, Param, Requires, Station, Transfers, action
+from labos.node import Consumes, Draws, Needs, Param, Requires, Station, Transfers, action
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
@@ -125,5 +126,5 @@ class OT2(OnBenchOrWire):
         if name != "run_protocol" or not isinstance(self.device, OT2Driver):
             return await super().take_up(name, handle)
         if not handle:
-            raise DeviceError(f"{self.setup.name}: no run was started.", effects="none")
+            raise make_refusal(self.setup.name, "no run was started")
         return await self.device.follow(handle)

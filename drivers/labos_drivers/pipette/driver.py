@@ -13,6 +13,7 @@ from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
 from labos.node.node import handle_keeper
 from labos_drivers._limits import make_serial_wire
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.pipette import protocol
 from labos_drivers.pipette.protocol import Answer, Kind
@@ -90,11 +91,10 @@ class PipetteDriver(Wired):
             raise
         target = here + round(change_ul / self._ul_a_step)
         if not 0 <= target <= self._kind.steps:
-            raise DeviceError(
-                f"{self.name}: {here * self._ul_a_step:.4g} of {self._kind.volume_ul:g} µL are drawn up; "
-                f"{abs(change_ul):g} µL cannot be {'aspirated' if change_ul > 0 else 'dispensed'}.",
-                effects="none",
-                remedy="Ask for less, or empty it first.",
+            raise self.make_refusal(
+                f"{here * self._ul_a_step:.4g} of {self._kind.volume_ul:g} µL are drawn up; "
+                f"{abs(change_ul):g} µL cannot be {'aspirated' if change_ul > 0 else 'dispensed'}",
+                "Ask for less, or empty it first.",
             )
         return Stroke(here, target)
 
@@ -183,10 +183,8 @@ class PipetteDriver(Wired):
     @off_loop
     def eject_tip(self) -> None:
         if not self._kind.eject:
-            raise DeviceError(
-                f"{self.name}: this pump has no ejector.",
-                effects="none",
-                remedy="Let the arm strip the tip off: run its program for that.",
+            raise self.make_refusal(
+                "this pump has no ejector", "Let the arm strip the tip off: run its program for that."
             )
         with self.motion():
             self._order(self._kind.eject)
@@ -257,13 +255,13 @@ def read_kind(setup: Setup) -> Kind:
     DeviceError."""
     named = setup.config.get("kind", "z_pump")
     if named not in protocol.KINDS:
-        raise DeviceError(
-            f"{setup.name}: there is no pump of kind {named!r}.",
-            effects="none",
-            remedy=f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
+        raise make_refusal(
+            setup.name,
+            f"there is no pump of kind {named!r}",
+            f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
         )
     kind = protocol.KINDS[named]
     volume = setup.config.get("volume_ul", kind.volume_ul)
     if isinstance(volume, bool) or not isinstance(volume, int | float) or not 0 < volume <= 5000:
-        raise DeviceError(f"{setup.name}: `volume_ul:` is {volume!r}.", effects="none")
+        raise make_refusal(setup.name, f"`volume_ul:` is {volume!r}")
     return kind._replace(volume_ul=float(volume))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from labos.node import DeviceError, Param, Sets, action
+from labos.node import Param, Sets, action
+from labos_drivers._refusals import make_refusal
 from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pipette.driver import PipetteDriver
@@ -61,5 +62,5 @@ class Pipette(OnBenchOrWire):
         if name not in ("aspirate", "dispense") or not isinstance(self.device, PipetteDriver):
             return await super().take_up(name, handle)
         if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
+            raise make_refusal(self.setup.name, "nothing was started")
         return await self.device.follow(handle)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 from zlib import crc32
 
-from labos.node import Attachment, DeviceError, World
+from labos.node import Attachment, World
 from labos_drivers import _polymers
 from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
@@ -50,7 +50,7 @@ class TecanSimulator(Gated):
     ) -> Attachment:
         count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
         if not 0 < count <= MOST_WAVELENGTHS:
-            raise DeviceError(f"{self.name}: {count} wavelengths cannot be measured.", effects="none")
+            raise self.make_refusal(f"{count} wavelengths cannot be measured")
         with self.motion():
             self.check_closed()
             self.crash_if_lidded(self.place("default"), "reads through a lid")

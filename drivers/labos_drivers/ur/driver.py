@@ -160,10 +160,8 @@ class URDriver(Wired):
             self._order("restart safety", "Restarting safety", "true")
             self._await_status("safety status", self._read_safety, protocol.NORMAL, protocol.REDUCED)
         elif safety not in (protocol.NORMAL, protocol.REDUCED):
-            raise DeviceError(
-                f"{self.name}: its safety status is {safety}.",
-                effects="none",
-                remedy="Release the emergency stop, then reset the module.",
+            raise self.make_refusal(
+                f"its safety status is {safety}", "Release the emergency stop, then reset the module."
             )
         if self._read_state() != protocol.STOPPED:
             self._order("stop", "Stopped")
@@ -288,10 +286,8 @@ class URDriver(Wired):
         if _is_not_understood(answer):
             return  # a CB3, which has no local mode, or software before 5.6: it refuses what it must not do
         if answer != "true":
-            raise DeviceError(
-                f"{self.name}: the controller is not in remote control.",
-                effects="none",
-                remedy="Switch it to remote control on the pendant.",
+            raise self.make_refusal(
+                "the controller is not in remote control", "Switch it to remote control on the pendant."
             )
 
     def _read_sensors(self) -> dict[str, Any]:
@@ -409,11 +405,7 @@ class URDriver(Wired):
         deadline = time.monotonic() + limit_s
         while (answer := ask()) not in wanted:
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"{self.name}: its {what} is {answer} after {limit_s:g} s.",
-                    effects="none",
-                    remedy="Look at the pendant.",
-                )
+                raise self.make_refusal(f"its {what} is {answer} after {limit_s:g} s", "Look at the pendant.")
             time.sleep(POLL_S)
 
     def _recognise(self, link: Link) -> str:
