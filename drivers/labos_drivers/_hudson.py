@@ -103,7 +103,6 @@ class HudsonDriver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
-        self._setup = setup
         configured = {name: float(config[name]) for name in Sizes.__struct_fields__ if name in config}
         self._sizes = msgspec.structs.replace(self.sizes, **configured)
         self._speed = min(float(config.get("speed_percent", self.speed_percent)), 100.0)
@@ -121,7 +120,7 @@ class HudsonDriver(Wired):
         )
 
     def wire(self, address: str) -> Wire:
-        return make_serial_wire(self._of, address, baudrate=BAUDRATE)
+        return make_serial_wire(self._setup, address, baudrate=BAUDRATE)
 
     # -- plates ------------------------------------------------------------------------------
 

@@ -47,13 +47,7 @@ def off_loop(
     method: Callable[Concatenate[D, P], T],
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
     """Make a blocking method awaitable: it runs in the driver's thread."""
-
-    @functools.wraps(method)
-    async def call(self: D, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        result: T = await self.run(functools.partial(method, self, *args, **kwargs))
-        return result
-
-    return call
+    return _run_in("run", method)
 
 
 def during_motion(
@@ -61,19 +55,24 @@ def during_motion(
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
     """Make a blocking question awaitable: it runs in a thread of its own, and does not wait for the end of a
     motion."""
+    return _run_in("ask", method)
 
+
+def _run_in(
+    worker: str, method: Callable[Concatenate[D, P], T]
+) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
     @functools.wraps(method)
     async def call(self: D, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        result: T = await self.ask(functools.partial(method, self, *args, **kwargs))
+        result: T = await getattr(self, worker)(functools.partial(method, self, *args, **kwargs))
         return result
 
     return call
 
 
 class Wired(Refusing):
-    """Base of drivers, which set ``link``. ``simulator`` is the simulated device behind the wire, if
-    there is one; ``where`` is the key of the workcell file that names a real one, with an example;
-    ``deadlines`` are those that the file may set."""
+    """Base of drivers, which set ``link``, to the ``address`` of their device. ``simulator`` is the simulated
+    device behind the wire, if there is one; ``where`` is the key of the workcell file that names a real one,
+    with an example; ``deadlines`` are those that the file may set."""
 
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
     deadlines: ClassVar[tuple[str, ...]] = ()
@@ -82,7 +81,7 @@ class Wired(Refusing):
 
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         self.name = setup.name
-        self._of = setup
+        self._setup = setup
         self._deadlines = read_deadlines(setup, self.deadlines)
         self.run = Worker(f"{setup.name} driver")
         self.ask = Worker(f"{setup.name} questions")
@@ -97,11 +96,11 @@ class Wired(Refusing):
 
     def see_unit(self, serial: Any) -> None:
         """Report the device's serial number, when it is recognised. Raises WrongDevice."""
-        see_unit(self._of, serial)
+        see_unit(self._setup, serial)
 
     def note_firmware(self, version: Any) -> None:
         """Note the device's version, when it is recognised."""
-        self._of.firmware = str(version or "").strip()
+        self._setup.firmware = str(version or "").strip()
 
     @off_loop
     def connect(self) -> None:
@@ -144,6 +143,11 @@ class Wired(Refusing):
         """What the device's own sensors see, in the form of ``Node.observe``."""
         raise NotImplementedError
 
+    def follow(self, handle: str) -> Awaitable[Any]:
+        """The end of what was noted under this handle before; nothing is started. Raises DeviceError,
+        OutcomeUnknown."""
+        raise NotImplementedError
+
     def check_not_stopped(self, effects: str = "none") -> None:
         """Raise DeviceError if the device was stopped; called before each command that moves."""
         if self._halted.is_set():
@@ -175,9 +179,10 @@ class Wired(Refusing):
 
 class OnBenchOrWire(Instrument):
     """A node whose device is simulated on the bench, simulated behind its wire, or real; ``devices``
-    says as what."""
+    says as what. ``follows`` are the actions whose end the driver finds out by a handle after a restart."""
 
     devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], DeviceOnWire], type[Wired]]]
+    follows: ClassVar[tuple[str, ...]] = ()
 
     async def connect(self) -> None:
         on_bench, behind_wire, driver = self.devices
@@ -196,6 +201,13 @@ class OnBenchOrWire(Instrument):
             await device.close()
             raise
         self.device = device
+
+    async def take_up(self, name: str, handle: str) -> Any:
+        if name not in self.follows or not isinstance(self.device, Wired):
+            return await super().take_up(name, handle)
+        if not handle:
+            raise make_refusal(self.setup.name, "nothing was started")
+        return await self.device.follow(handle)
 
 
 def find_address(setup: Setup, key: str, example: str) -> str:

@@ -12,7 +12,7 @@ import msgspec
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire
 from labos.node import Setup, under_way
-from labos.node.node import handle_keeper
+from labos.node.node import note_handle
 from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.barty import protocol
@@ -87,9 +87,7 @@ class BartyDriver(Wired):
 
     async def _give_dose(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
         dose = await self.store(pumps, seconds, fill=fill)
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(str(dose))
+        await note_handle(str(dose))
         await self.carry_out(dose)
 
     @off_loop

@@ -11,9 +11,8 @@ from typing import Any, ClassVar, NamedTuple
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
-from labos.node.node import handle_keeper
-from labos_drivers._refusals import make_refusal
-from labos_drivers._wired import DeviceOnWire, OnBenchOrWire, Wired, during_motion, off_loop
+from labos.node.node import note_handle
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 
 ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
 """How long a gateway may be out of reach while its instrument works."""
@@ -61,9 +60,7 @@ class GatewayDriver(Wired):
     async def call(self, action: str, **args: Any) -> Any:
         """Carry an action out; returns its result. Raises DeviceError."""
         start = await self.name_start()
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(start.handle)
+        await note_handle(start.handle)
         return await self.carry_out(start, action, args)
 
     @off_loop
@@ -225,15 +222,3 @@ class GatewayDriver(Wired):
     @staticmethod
     def _describe_gateway(instrument: str) -> str:
         return f"a gateway to {instrument}"
-
-
-class GatewayInstrument(OnBenchOrWire):
-    """A node whose real device stands behind a gateway. What went on while the node was not running is taken
-    up again."""
-
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name == "reset" or not isinstance(self.device, GatewayDriver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise make_refusal(self.setup.name, "nothing was started")
-        return await self.device.follow(handle)

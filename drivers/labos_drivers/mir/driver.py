@@ -11,7 +11,7 @@ from typing import Any
 from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
-from labos.node.node import handle_keeper
+from labos.node.node import note_handle
 from labos.node.secrets import read_secret
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.mir import protocol
@@ -114,9 +114,7 @@ class MiRDriver(Wired):
 
     async def _go(self, kind: str, target: str) -> None:
         name = f"labos-{secrets.token_hex(8)}"
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(name)
+        await note_handle(name)
         await self._drive(kind, target, name)
 
     @off_loop

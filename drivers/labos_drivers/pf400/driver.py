@@ -74,7 +74,6 @@ class PF400Driver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
-        self._setup = setup
         self._hand = Hand(setup.name, config)
         self._lid_mm = float(config.get("lid_mm", LID_MM))
         self._above_mm = float(config.get("approach_mm", APPROACH_MM))

@@ -11,7 +11,7 @@ import msgspec
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
-from labos.node.node import handle_keeper
+from labos.node.node import note_handle
 from labos_drivers._limits import make_serial_wire
 from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
@@ -75,9 +75,7 @@ class PipetteDriver(Wired):
     async def _move(self, change_ul: float, speed_ul_s: float) -> float:
         """Move the plunger; returns the volume that is drawn up then (µL)."""
         stroke = await self.plan(change_ul)
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(str(stroke))
+        await note_handle(str(stroke))
         return await self.carry_out(stroke, speed_ul_s)
 
     @off_loop

@@ -53,7 +53,6 @@ class URDriver(Wired):
 
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
-        self._setup = setup
         dashboard, gripper, data = [*address.split(","), "", ""][:3]
         host, port = parse_host_port(dashboard, protocol.DASHBOARD)
         self.link = Link(
