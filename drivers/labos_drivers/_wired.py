@@ -10,11 +10,12 @@ from __future__ import annotations
 import asyncio
 import functools
 import threading
+import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
 
-from labos.errors import DeviceError
+from labos.errors import DeviceError, LinkError, WrongDevice
 from labos.link.life import Life
 from labos.node import Setup, see_unit, under_way
 from labos.node.worker import Worker
@@ -156,6 +157,21 @@ class Wired(Refusing):
     def resume(self) -> None:
         """A reset ends a stop."""
         self._halted.clear()
+
+    @staticmethod
+    def ask_again(ask: Callable[[], T], limit_s: float, pause_s: float) -> T:
+        """Ask a device that goes on by itself; while it cannot be reached, it is asked again for so long.
+        Raises LinkError."""
+        deadline = time.monotonic() + limit_s
+        while True:
+            try:
+                return ask()
+            except WrongDevice:
+                raise
+            except LinkError:
+                if time.monotonic() > deadline:
+                    raise
+            time.sleep(pause_s)
 
     @contextmanager
     def report_no_effects(self) -> Iterator[None]:

@@ -96,7 +96,7 @@ class BartyDriver(Wired):
         self.check_not_stopped()
         owner = secrets.randbelow(2**31 - 1) + 1
         script = protocol.write_script(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
-        try:
+        with self.report_no_effects():
             if not self._is_at_rest():
                 raise DeviceError(f"{self.name}: a pump runs already.", remedy="Wait, or reset the module.")
             self._delete_last()
@@ -104,9 +104,6 @@ class BartyDriver(Wired):
             if number == protocol.NO_ROOM:
                 self._delete_ended()
                 number = self._ask(protocol.PROC, more=script.encode())[0]
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         if number < 0:
             raise self.make_refusal(
                 f"the daemon does not take the dose (error {number})",
@@ -223,15 +220,9 @@ class BartyDriver(Wired):
 
     def _poll_script(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
         """Status and parameters of a script; a daemon that cannot be reached for a while is asked again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                result, more = self._ask(protocol.PROCP, dose.script)
-                break
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        result, more = self.ask_again(
+            lambda: self._ask(protocol.PROCP, dose.script), self.limit_s("lost", LOST_S), POLL_S
+        )
         if result < 0:
             raise self._make_forgotten_error()
         if len(more) != protocol.STATUS.size:

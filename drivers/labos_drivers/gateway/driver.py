@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import note_handle
@@ -83,7 +83,7 @@ class GatewayDriver(Wired):
         start = Start(journal, name)
         with self.motion():
             with self.under_way():
-                entry = self._void(start)
+                entry = self._poll_action("DELETE", start)
             return self._await_end(start, entry)
 
     @off_loop
@@ -129,7 +129,7 @@ class GatewayDriver(Wired):
                 raise
             # It may or may not have been heard; from now on it is not heard any more.
             with self.under_way():
-                entry = self._void(start)
+                entry = self._poll_action("DELETE", start)
         else:
             if reply.status in REFUSALS:
                 self._forget_another(answer)
@@ -169,24 +169,15 @@ class GatewayDriver(Wired):
         if answer.get("journal") != self._journal:
             self.link.close()
 
-    def _void(self, start: Start) -> dict[str, Any]:
-        return self._poll_action("DELETE", start)
-
     def _poll_action(self, method: str, start: Start) -> dict[str, Any]:
         """Read the state of an action, or void it; a gateway that cannot be reached for a while is asked
         again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return self._check_reply(
-                    self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
-                )
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+
+        def poll() -> dict[str, Any]:
+            reply = self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
+            return self._check_reply(reply)
+
+        return self.ask_again(poll, self.limit_s("lost", LOST_S), POLL_S)
 
     # -- one answer --------------------------------------------------------------------------
 

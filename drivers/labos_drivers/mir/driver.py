@@ -8,7 +8,7 @@ import time
 from math import hypot, isfinite
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos.node.node import note_handle
@@ -237,16 +237,7 @@ class MiRDriver(Wired):
 
     def _retry(self, ask: Any) -> Any:
         """Ask again a robot that cannot be reached for a while, as between two access points."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return ask()
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        return self.ask_again(ask, self.limit_s("lost", LOST_S), POLL_S)
 
     # -- one answer --------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
 from labos_drivers._refusals import make_refusal
@@ -303,16 +303,7 @@ class OT2Driver(Wired):
     def _poll_state(self, run: str) -> dict[str, Any]:
         """The state of a run, which goes on without this node: a robot that cannot be reached for a while is
         asked again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return self._read_state(run)
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        return self.ask_again(lambda: self._read_state(run), self.limit_s("lost", LOST_S), POLL_S)
 
     def _read_state(self, run: str) -> dict[str, Any]:
         reply = self.link.get(f"/runs/{run}", timeout_s=self._answer_s)

@@ -82,11 +82,8 @@ class PipetteDriver(Wired):
     def plan(self, change_ul: float) -> Stroke:
         """Plan a stroke; nothing moves. Raises DeviceError for a volume that does not fit."""
         self.check_not_stopped()
-        try:
+        with self.report_no_effects():
             here = self._read_position()
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         target = here + round(change_ul / self._ul_a_step)
         if not 0 <= target <= self._kind.steps:
             raise self.make_refusal(

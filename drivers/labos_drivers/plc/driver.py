@@ -130,13 +130,10 @@ class PlcDriver(Wired):
         """Check that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
         self.check_not_stopped()
         action = self.mapping.actions[name]
-        try:
+        with self.report_no_effects():
             seen = self.points.read(self._list_watched_points(action))
             self._refuse_unless_fit(action, seen)
             self.points.write_all(action.set, args)
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         return StartedAction(args, self._choose_number(action_id, seen), self._read_boot(seen))
 
     @off_loop
