@@ -14,14 +14,14 @@ from labos.link import FarEnd
 from labos.node import Crash, Setup
 from labos.node.world import lid_of
 from labos_drivers._hudson import END, Dialect, Joints, Sizes
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers._simulation import place_of
 
 UNKNOWN_COMMAND, UNKNOWN_POINT, CRASHED, IN_ERROR = 1, 2, 1400, 14
 HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
 
 
-class HudsonOnWire(OnWire):
+class HudsonOnWire(OnLine):
     """The simulated arm. ``points`` are those that it was taught; ``homed``: it has been homed since it was
     switched on; ``is_slippery``: what it holds falls down on its way."""
 
@@ -45,7 +45,6 @@ class HudsonOnWire(OnWire):
         self.is_in_motion = False
         self._percent = 10.0
         self._lines: deque[str] = deque()
-        self._received = b""
         self.furnish(20, *self.stacks)
         own = {self.place(name): joints for name, joints in self.points.items()}
         taught = {
@@ -58,11 +57,8 @@ class HudsonOnWire(OnWire):
 
     # -- receiving ---------------------------------------------------------------------------
 
-    def receive(self, data: bytes) -> None:
-        self._received += data
-        while b"\n" in self._received:
-            line, _, self._received = self._received.partition(b"\n")
-            self._lines.append(line.strip().decode("ascii", "replace"))
+    def obey(self, line: str) -> None:
+        self._lines.append(line)
         self._obey_all()
 
     def _obey_all(self) -> None:

@@ -6,6 +6,7 @@ other end.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 from labos.link import FarEnd, ReceivingDevice, TimedDevice, serial_end
@@ -24,6 +25,9 @@ class Timed(TimedDevice, Simulated):
         """Something was hit: the device stands still and reports it."""
         raise NotImplementedError
 
+    def read_clock(self) -> float:
+        return time.monotonic() * self._pace
+
     def after(self, lab_s: float, what: Callable[[], None], *, exact: bool = False) -> None:
         """Do something in so many lab seconds; the time scatters unless ``exact``."""
         super().after(lab_s if exact else self.scatter(lab_s), what)
@@ -39,3 +43,19 @@ class OnWire(Timed, ReceivingDevice):
     def make_end(self) -> FarEnd:
         """The far end that the device has if none is given."""
         return serial_end()
+
+
+class OnLine(OnWire):
+    """A device that receives lines; subclasses say what it does with each (``obey``)."""
+
+    line_end = b"\n"
+    _partial = b""
+
+    def receive(self, data: bytes) -> None:
+        *lines, self._partial = (self._partial + data).split(self.line_end)
+        for line in lines:
+            self.obey(line.strip().decode("utf-8", "replace"))
+
+    def obey(self, line: str) -> None:
+        """A line was received; it is given without its end."""
+        raise NotImplementedError

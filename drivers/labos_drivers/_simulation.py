@@ -8,8 +8,9 @@ the log.
 from __future__ import annotations
 
 import asyncio
+import math
 import random  # noqa: TID251 (seeded by Setup: the same seed gives the same jitter)
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
@@ -60,6 +61,10 @@ class Simulated(Refusing):
             pause.cancel()
         if self._halted:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    def read_clock(self) -> float:
+        """Lab time (s) by this machine's clock; only differences mean something."""
+        return asyncio.get_running_loop().time() * self._setup.pace
 
     def scatter(self, nominal_s: float) -> float:
         """A random duration (s) near the nominal one, as real devices need."""
@@ -153,6 +158,21 @@ def place_of(setup: Setup, name: str) -> str:
     name."""
     bare = name.rpartition("/")[2].replace(".positions.", ".")
     return bare if "." in bare or ":" in bare else setup.place(bare)
+
+
+class Settling:
+    """A quantity that goes to its goal like a first-order system; ``clock`` tells lab time (s)."""
+
+    def __init__(self, start: float, settles_s: float, clock: Callable[[], float]) -> None:
+        self.goal = self._from = start
+        self._settles_s, self._clock, self._since_s = settles_s, clock, clock()
+
+    def now(self) -> float:
+        passed_s = self._clock() - self._since_s
+        return self.goal + (self._from - self.goal) * math.exp(-passed_s / self._settles_s)
+
+    def aim(self, goal: float) -> None:
+        self._from, self._since_s, self.goal = self.now(), self._clock(), goal
 
 
 class Gated(Simulated):

@@ -96,10 +96,8 @@ class PeelerDriver(Wired):
         with self.motion():
             try:
                 return self._look_for_seal()
-            except DeviceError as error:
-                if isinstance(error, NoPlate):
-                    return "no plate"
-                raise
+            except NoPlate:
+                return "no plate"
 
     @off_loop
     def is_idle(self) -> bool:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
 from labos_drivers._onwire import OnWire
+from labos_drivers._simulation import Settling
 from labos_drivers.inheco import protocol
 from labos_drivers.inheco.simulator import CLOSES_S, OPENS_S, ROOM_C, SETTLES_S
 
@@ -39,7 +39,7 @@ class InhecoOnWire(OnWire):
             self.shut("default")
         self.drawer = "0" if self.world.is_shut(place) else "1"
         self.plate_known = started
-        self._from_c, self._since_s = ROOM_C, 0.0
+        self._block = Settling(ROOM_C, SETTLES_S, self.now_s)
         self._set = (30, 30, 100, 100, 90)
         self._run = self._set
         self._received = b""
@@ -161,16 +161,10 @@ class InhecoOnWire(OnWire):
         return protocol.OK
 
     def _aim(self) -> None:
-        self._from_c, self._since_s = self.compute_temperature(), self.now_s()
-        self._goal_c = self.target / 10 if self.heats else ROOM_C
-
-    _goal_c = ROOM_C
+        self._block.aim(self.target / 10 if self.heats else ROOM_C)
 
     def compute_temperature(self) -> float:
-        """First order, towards what it is set to."""
-        return self._goal_c + (self._from_c - self._goal_c) * math.exp(
-            -(self.now_s() - self._since_s) / SETTLES_S
-        )
+        return self._block.now()
 
     def _set_shaker(self, arguments: str) -> int:
         if not re.fullmatch(r"\d+(,\d+){4}", arguments):

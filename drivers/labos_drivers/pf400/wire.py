@@ -14,7 +14,7 @@ from math import dist
 from labos.link import FarEnd, TcpEnd
 from labos.node import Crash, Setup
 from labos.node.world import lid_of
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers._simulation import place_of
 from labos_drivers.pf400 import kinematics, protocol
 from labos_drivers.pf400.kinematics import Joints
@@ -28,7 +28,7 @@ SQUEEZE_MM = 12.0
 COLLISION = -3100
 
 
-class PF400OnWire(OnWire):
+class PF400OnWire(OnLine):
     """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
     holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip;
     ``has_rail``: an arm without one tells five joints."""
@@ -59,7 +59,6 @@ class PF400OnWire(OnWire):
         self._motion = 0
         self._then: Callable[[], None] | None = None
         self._lines: deque[str] = deque()
-        self._received = b""
         self._deaf = False
         self.free_axes: set[int] = set()
         self._grips = {"open": protocol.NARROW.open_mm, "closed": protocol.NARROW.closed_mm}
@@ -87,11 +86,8 @@ class PF400OnWire(OnWire):
 
     # -- receiving ---------------------------------------------------------------------------
 
-    def receive(self, data: bytes) -> None:
-        self._received += data
-        while b"\n" in self._received:
-            line, _, self._received = self._received.partition(b"\n")
-            self._lines.append(line.strip().decode("ascii", "replace"))
+    def obey(self, line: str) -> None:
+        self._lines.append(line)
         self._obey_all()
 
     def _obey_all(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from labos.link import FarEnd, TcpEnd
 from labos.node import Crash, Setup
 from labos_drivers._arm import Arm
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers.ur import protocol, rtde
 from labos_drivers.ur.rig import Rig
 from labos_drivers.ur.rtde_wire import RtdePort
@@ -34,7 +34,7 @@ OUTPUTS = dict(zip(rtde.RECIPE, rtde.TYPES, strict=True)) | {
 RUNTIME = {protocol.STOPPED: rtde.STOPPED, protocol.PLAYING: rtde.PLAYING, protocol.PAUSED: rtde.PAUSED}
 
 
-class UROnWire(OnWire):
+class UROnWire(OnLine):
     """What the device is and does. ``started``: powered, with its brakes released before;
     ``stopped_by_hand``: somebody stops its next program on the pendant; ``fingers_move``: its gripper says
     that they do."""
@@ -65,7 +65,6 @@ class UROnWire(OnWire):
             entries = [{"program": configured}] if isinstance(configured, str) else configured
             for entry in entries if isinstance(entries, list) else ():
                 self.programs[entry["program"]] = {**entry, "does": action}
-        self._received = b""
         self._asked = b""
 
     @property
@@ -93,11 +92,8 @@ class UROnWire(OnWire):
                 seen = protocol.HELD_CLOSING if held else protocol.EMPTY
                 self.fingers.write(b"OBJ %d\n" % (protocol.MOVING if self.fingers_move else seen))
 
-    def receive(self, data: bytes) -> None:
-        self._received += data
-        while b"\n" in self._received:
-            line, _, self._received = self._received.partition(b"\n")
-            self._line(self._answer(line.strip().decode("utf-8", "replace")))
+    def obey(self, line: str) -> None:
+        self.send(self._answer(line).encode() + protocol.END)
 
     def _answer(self, line: str) -> str:
         answers: dict[str, Callable[[], str]] = {
@@ -273,6 +269,3 @@ class UROnWire(OnWire):
     def damage(self, crash: Crash) -> None:
         self._freeze(protocol.PAUSED)
         self.safety = protocol.PROTECTIVE
-
-    def _line(self, text: str) -> None:
-        self.send(text.encode() + protocol.END)
