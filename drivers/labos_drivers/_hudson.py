@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, ClassVar, Protocol
 
@@ -44,6 +44,13 @@ class Joints(msgspec.Struct, frozen=True):
     z: float
     p: float
     y: float
+
+    @classmethod
+    def of(cls, axes: Mapping[str, Any]) -> Joints:
+        """By the letters of the axes. Raises ValueError if one is missing."""
+        if len(axes) != len(cls.__struct_fields__):
+            raise ValueError(f"{', '.join(axes)} are not all axes")
+        return cls(**{axis.lower(): float(value) for axis, value in axes.items()})
 
     def replace(self, **axes: float) -> Joints:
         return msgspec.structs.replace(self, **axes)
@@ -347,8 +354,7 @@ class HudsonDriver(Wired):
                 "Teach it again: `locations:` of the workcell file.",
             )
         if taught and any(taught):
-            axes = dict(zip(self.dialect.order, map(float, taught), strict=True))
-            pose = Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
+            pose = Joints.of(dict(zip(self.dialect.order, taught, strict=True)))
         else:
             pose = self._read_point(place, full.removeprefix(f"{self.name}.").replace(".", "_"))
         pose = pose.replace(z=pose.z + raised)
@@ -429,11 +435,8 @@ class HudsonDriver(Wired):
     def _recognise(self) -> str:
         text = self._ask("GETPOS", lambda text: bool(re.search(r"Z:|-?\d+,", text)))
         who = "a SciClops" if "Z:" in text else "a PlateCrane"
-        if who == self.dialect.who:
-            try:
-                self.dialect.read(text)
-            except ValueError:
-                return f"what answers {text!r}"
+        if who == self.dialect.who and not self._is_position(text):
+            return f"what answers {text!r}"
         return who
 
 
@@ -467,10 +470,7 @@ class SciclopsDialect:
         return f"LOADPOINT {name}, Z:{z}, P:{p}, Y:{y}, R:{r}"
 
     def read(self, text: str) -> Joints:
-        axes = dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text))
-        if len(axes) != 4:
-            raise ValueError(text)
-        return Joints(float(axes["R"]), float(axes["Z"]), float(axes["P"]), float(axes["Y"]))
+        return Joints.of(dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text)))
 
     def speed(self, percent: float) -> str:
         return f"SETSPEED {percent:.0f}"

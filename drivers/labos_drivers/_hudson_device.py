@@ -39,7 +39,7 @@ class HudsonOnWire(OnLine):
         self.error = 0
         self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
         # What it held when its power went it holds still.
-        self.fingers = "between" if self.top(f"hand:{self.name}") else "open"
+        self.fingers = "between" if self.find_held_plate() else "open"
         self.is_slippery = False
         self.stored = dict(self.points)
         self.is_in_motion = False
@@ -48,7 +48,7 @@ class HudsonOnWire(OnLine):
         self.furnish(20, *self.stacks)
         own = {self.place(name): joints for name, joints in self.points.items()}
         taught = {
-            place_of(setup, name): self._parse_pose(pose)
+            place_of(setup, name): Joints.of(dict(zip(self.dialect.order, pose, strict=True)))
             for name, pose in setup.poses.items()
             if len(pose) == 4 and any(pose)
         }
@@ -155,7 +155,7 @@ class HudsonOnWire(OnLine):
             return target
         floor, unit = self._spots[place].z, self.dialect.unit
         bottom = floor + len(self.world.at(place)) * self.sizes.plate_mm * unit
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             bottom += self.sizes.grip_mm * unit
         elif self.fingers == "open":
             bottom = floor
@@ -163,7 +163,7 @@ class HudsonOnWire(OnLine):
 
     def _close(self) -> None:
         place = self._find_spot()
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             return
         if place and self.world.at(place):
             self.world.grip(self.name, place)
@@ -172,14 +172,11 @@ class HudsonOnWire(OnLine):
             self.fingers = "shut"
 
     def _open(self) -> None:
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
-            if place.rpartition(".")[2].lower() in ("trash", "waste"):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place)
+            self.open_hand(place)
         self.fingers = "open"
 
     def _find_place_under(self, joints: Joints) -> str:
@@ -220,10 +217,6 @@ class HudsonOnWire(OnLine):
     def format_position(self, joints: Joints) -> str:
         """A position in the form of an answer to ``GETPOS``."""
         raise NotImplementedError
-
-    def _parse_pose(self, pose: list[float]) -> Joints:
-        axes = dict(zip(self.dialect.order, map(float, pose), strict=True))
-        return Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
 
     def _send_data(self, text: str) -> None:
         self.send(text.encode() + END)

@@ -107,6 +107,12 @@ class Simulated(Refusing):
             if self.world.is_shut(place):
                 self.world.gate(self.name, place, shut=False)
 
+    def shut_at_first(self, *places: str) -> None:
+        """So it leaves the factory; since then, it stays as it was moved last."""
+        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
+        if not any(motion.device == self.name for motion in moved):
+            self.shut(*places)
+
     def furnish(self, capacity: int, *places: str) -> None:
         """Places of this device hold so many plates, unless the bench says otherwise."""
         for place in map(self.place, places):
@@ -118,11 +124,32 @@ class Simulated(Refusing):
         plates = self.world.at(place)
         return plates[-1] if plates else ""
 
+    def find_held_plate(self) -> str:
+        """The plate in the device's hand, or empty."""
+        return self.top(f"hand:{self.name}")
+
+    def is_waste(self, place: str) -> bool:
+        chutes = {self.place(name) for name in self.config.get("waste", ())}
+        return place in chutes or place.rpartition(".")[2].lower() in ("trash", "waste")
+
+    def open_hand(self, place: str, grip: str = "") -> None:
+        """Open the hand at a place; what falls into the waste is gone."""
+        if self.is_waste(place):
+            self.world.discard(self.name, place)
+        else:
+            self.world.release(self.name, place, grip)
+
     def is_sealed(self, plate: str) -> bool:
         return self.world.last(plate, "seal", "peel") == "seal"
 
     def is_lidded(self, plate: str) -> bool:
         return bool(self.world.at(lid_of(plate)))
+
+    def crash_if_sealed(self, place: str, what: str) -> None:
+        """Record a crash if the plate at a place has a seal. Raises Crash."""
+        plate = self.top(place)
+        if plate and self.is_sealed(plate):
+            self.world.crash(self.name, place, what)
 
     def crash_if_lidded(self, place: str, what: str) -> None:
         """Record a crash if the plate at a place has its lid on. Raises Crash."""

@@ -144,6 +144,10 @@ class Wired(Refusing):
         """What the device's own sensors see, in the form of ``Node.observe``."""
         raise NotImplementedError
 
+    def trouble(self) -> Awaitable[str]:
+        """What the device says is wrong now; empty if nothing is."""
+        raise NotImplementedError
+
     def follow(self, handle: str) -> Awaitable[Any]:
         """The end of what was noted under this handle before; nothing is started. Raises DeviceError,
         OutcomeUnknown."""
@@ -199,6 +203,7 @@ class OnBenchOrWire(Instrument):
 
     devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], DeviceOnWire], type[Wired]]]
     follows: ClassVar[tuple[str, ...]] = ()
+    not_started: ClassVar[str] = "nothing was started"
 
     async def connect(self) -> None:
         on_bench, behind_wire, driver = self.devices
@@ -222,8 +227,27 @@ class OnBenchOrWire(Instrument):
         if name not in self.follows or not isinstance(self.device, Wired):
             return await super().take_up(name, handle)
         if not handle:
-            raise make_refusal(self.setup.name, "nothing was started")
+            raise make_refusal(self.setup.name, self.not_started)
         return await self.device.follow(handle)
+
+
+class ReportsTrouble(OnBenchOrWire):
+    """A node whose driver asks its device for ``trouble``. It tells what the device said both now and before,
+    so that what flickers is not told. A line that is lost is told by whatever is asked next."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._reported = self._said_before = ""
+
+    async def trouble(self) -> str:
+        if not isinstance(self.device, Wired):
+            return ""
+        try:
+            now = await self.device.trouble()
+        except DeviceError:
+            return self._reported
+        self._reported, self._said_before = (now if now == self._said_before else ""), now
+        return self._reported
 
 
 def find_address(setup: Setup, key: str, example: str) -> str:

@@ -136,11 +136,8 @@ class SealerOnWire(OnWire):
         if self._find_foil_left() < 1:
             self._fail(FOIL_GONE)
             return
-        plate = self.top(nest)
-        if plate and self.is_sealed(plate):
-            self.world.crash(self.name, nest, "seals a sealed plate")
-        if plate and self.is_lidded(plate):
-            self.world.crash(self.name, nest, "seals a lid")
+        self.crash_if_sealed(nest, "seals a sealed plate")
+        self.crash_if_lidded(nest, "seals a lid")
         self.world.use(self.name, "foil", 1)
         self.world.work(
             self.name, "seal", nest, time_s=self._press_s, temperature_c=round(self._compute_temperature())

@@ -6,21 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos_drivers.gateway.driver import GatewayDriver
+from labos_drivers.gateway.driver import GatedDriver
 
 PROGRAM = re.compile(r"[\w .\-]{1,100}")
 
 
-class ChemspeedDriver(GatewayDriver):
+class ChemspeedDriver(GatedDriver):
     """The hood counts as open when its sensor says so; a program has ended when its last task says so."""
 
     instrument = "chemspeed"
-
-    async def open_gate(self) -> None:
-        await self.call("open_lid")
-
-    async def close_gate(self) -> None:
-        await self.call("close_lid")
 
     async def run_program(
         self,

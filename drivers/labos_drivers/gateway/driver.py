@@ -97,10 +97,7 @@ class GatewayDriver(Wired):
     def stop(self) -> None:
         """Raises DeviceError if the instrument cannot be stopped from its PC."""
         self._halted.set()
-        if (
-            not self._check_reply(self.link.post("/stop", timeout_s=self._answer_s)).get("stopped")
-            and self.moving
-        ):
+        if not self._ask("POST", "/stop").get("stopped") and self.moving:
             raise DeviceError(
                 f"{self.name}: its own software takes no stop; it ends what it has begun.",
                 remedy="Use the button or switch on the device.",
@@ -109,11 +106,11 @@ class GatewayDriver(Wired):
     @during_motion
     def is_idle(self) -> bool:
         """An instrument that does not report that it is idle is busy."""
-        return self._read_state().get("busy") is False
+        return self._ask("GET", "/state").get("busy") is False
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        seen = self._read_state().get("seen")
+        seen = self._ask("GET", "/state").get("seen")
         return dict(seen) if isinstance(seen, dict) else {}
 
     # -- one action --------------------------------------------------------------------------
@@ -172,17 +169,13 @@ class GatewayDriver(Wired):
     def _poll_action(self, method: str, start: Start) -> dict[str, Any]:
         """Read the state of an action, or void it; a gateway that cannot be reached for a while is asked
         again."""
-
-        def poll() -> dict[str, Any]:
-            reply = self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
-            return self._check_reply(reply)
-
-        return self.ask_again(poll, self.limit_s("lost", LOST_S), POLL_S)
+        limit_s = self.limit_s("lost", LOST_S)
+        return self.ask_again(lambda: self._ask(method, f"/actions/{start.name}"), limit_s, POLL_S)
 
     # -- one answer --------------------------------------------------------------------------
 
-    def _read_state(self) -> dict[str, Any]:
-        return self._check_reply(self.link.get("/state", timeout_s=self._answer_s))
+    def _ask(self, method: str, path: str) -> dict[str, Any]:
+        return self._check_reply(self.link.exchange(method, path, timeout_s=self._answer_s))
 
     def _check_reply(self, reply: HttpReply) -> dict[str, Any]:
         """The body of a successful reply. Raises DeviceError for any other."""
@@ -213,3 +206,15 @@ class GatewayDriver(Wired):
     @staticmethod
     def _describe_gateway(instrument: str) -> str:
         return f"a gateway to {instrument}"
+
+
+class GatedDriver(GatewayDriver):
+    """Of an instrument with a lid or a carrier, which the actions ``gate`` open and close."""
+
+    gate: ClassVar[tuple[str, str]] = ("open_lid", "close_lid")
+
+    async def open_gate(self) -> None:
+        await self.call(self.gate[0])
+
+    async def close_gate(self) -> None:
+        await self.call(self.gate[1])

@@ -5,21 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from labos.errors import Garbled
-from labos_drivers.gateway.driver import GatewayDriver
+from labos_drivers.gateway.driver import GatedDriver
 
 LONGEST_NAME = 100
 
 
-class HidexDriver(GatewayDriver):
+class HidexDriver(GatedDriver):
     """``open`` and ``close`` are of the plate carrier. An assay ends when its file is whole."""
 
     instrument = "hidex"
-
-    async def open_gate(self) -> None:
-        await self.call("open")
-
-    async def close_gate(self) -> None:
-        await self.call("close")
+    gate = ("open", "close")
 
     async def run_assay(self, assay: str) -> str:
         self._check_assay(assay)

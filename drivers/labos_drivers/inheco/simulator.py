@@ -19,9 +19,7 @@ class InhecoSimulator(Gated):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
-        if not any(motion.device == self.name for motion in moved):
-            self.shut(*self.behind)
+        self.shut_at_first(*self.behind)
         self.target_c: float | None = None
         self.shaking = False
         self._block = Settling(ROOM_C, SETTLES_S, self.read_clock)

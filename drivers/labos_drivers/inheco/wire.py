@@ -33,11 +33,8 @@ class InhecoOnWire(OnWire):
         self.heats = False
         self.target = 370
         self._initialised, self._tells_reset = started, not started
-        place = self.place("default")
-        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
-        if not any(motion.device == self.name for motion in moved):
-            self.shut("default")
-        self.drawer = "0" if self.world.is_shut(place) else "1"
+        self.shut_at_first("default")
+        self.drawer = "0" if self.world.is_shut(self.place("default")) else "1"
         self.plate_known = started
         self._block = Settling(ROOM_C, SETTLES_S, self.now_s)
         self._set = (30, 30, 100, 100, 90)

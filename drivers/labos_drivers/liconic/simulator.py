@@ -108,6 +108,6 @@ class LiconicSimulator(Simulated):
             "shaking": bool(self.shaking),
             "labware": {
                 "exchange": bool(self.top(self.place("exchange"))),
-                "gripper": bool(self.top(f"hand:{self.name}")),
+                "gripper": bool(self.find_held_plate()),
             },
         }

@@ -71,7 +71,7 @@ class LiconicOnWire(OnLine):
             case protocol.ON_STATION:
                 return bool(self.top(self.place("exchange")))
             case protocol.ON_SHOVEL:
-                return bool(self.top(f"hand:{self.name}"))
+                return bool(self.find_held_plate())
         return False
 
     def _read_word(self, number: int) -> int:

@@ -69,19 +69,14 @@ class OT2Driver(Wired):
                 files += [("files", definition) for definition in self._definitions]
             given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
             form = {key: json.dumps(value) for key, value in given.items()}
-            uploaded = self._parse_data(
-                self.link.post(
-                    "/protocols", files=files, form=form, timeout_s=self.limit_s("upload", UPLOAD_S)
-                )
-            )
-            held = self._parse_id(uploaded)
+            upload_s, create_s = self.limit_s("upload", UPLOAD_S), self.limit_s("create", CREATE_S)
+            uploaded = self.link.post("/protocols", files=files, form=form, timeout_s=upload_s)
+            held = self._parse_id(self._parse_data(uploaded))
             self._await_analysis(held)
             body: dict[str, dict[str, Any]] = {"data": {"protocolId": held, **given}}
             if self._offsets:
                 body["data"]["labwareOffsets"] = self._offsets
-            made = self._parse_data(
-                self.link.post("/runs", json=body, timeout_s=self.limit_s("create", CREATE_S))
-            )
+            made = self._parse_data(self.link.post("/runs", json=body, timeout_s=create_s))
             run = self._parse_id(made)
             self._check_offsets(run, made)
             return run
@@ -106,7 +101,7 @@ class OT2Driver(Wired):
             self._run = run
             with self.under_way():
                 try:
-                    begun = not self._is_fresh(self._poll_state(run)) or not self._give_up(run)
+                    begun = not self._take_back(run)
                 except _Forgotten as error:
                     raise OutcomeUnknown(error.message) from error
             if not begun:
@@ -125,11 +120,7 @@ class OT2Driver(Wired):
                 f"{self.name}: nothing can be resumed: {why}." if run else f"{self.name}: no run waits.",
                 effects="none",
             )
-        self._parse_data(
-            self.link.post(
-                f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=self._answer_s
-            )
-        )
+        self._parse_data(self._act(run, action))
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -138,9 +129,7 @@ class OT2Driver(Wired):
         """Cancels the run; the robot stops at once and homes its gantry."""
         self._halted.set()
         if self._run:
-            reply = self.link.post(
-                f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
-            )
+            reply = self._act(self._run, "stop")
             if reply.status not in (404, 409):  # it has ended by itself
                 self._parse_data(reply)
 
@@ -150,9 +139,7 @@ class OT2Driver(Wired):
         self.resume()
         run = self._find_current_run()
         if run and self._read_state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-            self.link.post(
-                f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
-            )
+            self._act(run, "stop")
             with self.under_way(), suppress(_Ended):
                 self._await_end(run)
         with self.under_way():
@@ -229,9 +216,7 @@ class OT2Driver(Wired):
 
     def _play(self, run: str) -> None:
         self.check_not_stopped()
-        reply = self.link.post(
-            f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=self._answer_s
-        )
+        reply = self._act(run, "play")
         if reply.status >= 500:
             raise Garbled(f"{self.name}: {self._make_refusal(reply, '').message} It may have started.")
         if not reply.ok:
@@ -242,19 +227,16 @@ class OT2Driver(Wired):
         """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
         up, so that it cannot begin later."""
         with self.under_way():
-            if not self._is_fresh(self._poll_state(run)) or not self._give_up(run):
+            if not self._take_back(run):
                 return True
         error.effects = "none"
         return False
 
-    @staticmethod
-    def _is_fresh(state: dict[str, Any]) -> bool:
-        """Whether a run waits for its first ``play``."""
-        return state["status"] == protocol.IDLE and state.get("actions") == []
-
-    def _give_up(self, run: str) -> bool:
-        """Take a run back that has not begun; False if the robot says that it has. Raises LinkError."""
-        return self._retire(run).ok
+    def _take_back(self, run: str) -> bool:
+        """Take a run back that waits for its first ``play``; False if it has begun. Raises LinkError."""
+        state = self._poll_state(run)
+        is_fresh = state["status"] == protocol.IDLE and state.get("actions") == []
+        return is_fresh and self._retire(run).ok
 
     def _await_end(self, run: str) -> dict[str, Any]:
         try:
@@ -334,6 +316,10 @@ class OT2Driver(Wired):
         """Make the robot free for others; a failure does no harm."""
         with suppress(DeviceError):
             self._retire(run)
+
+    def _act(self, run: str, action: str) -> HttpReply:
+        body = {"data": {"actionType": action}}
+        return self.link.post(f"/runs/{run}/actions", json=body, timeout_s=self._answer_s)
 
     def _retire(self, run: str) -> HttpReply:
         return self.link.exchange(

@@ -53,7 +53,7 @@ class PF400OnWire(OnLine):
         self.wider_mm = 0.0
         # What it held when its power went it holds still.
         grip = protocol.NARROW
-        fingers = grip.closed_mm if self.top(f"hand:{self.name}") else grip.open_mm
+        fingers = grip.closed_mm if self.find_held_plate() else grip.open_mm
         self.joints: Joints = (*protocol.NEUTRAL, fingers, 0.0)
         self._way: tuple[Joints, Joints, float, float] | None = None
         self._motion = 0
@@ -378,7 +378,7 @@ class PF400OnWire(OnLine):
 
     def _grasp(self, width: float) -> bool:
         """Close the fingers; returns whether something is between them."""
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             held = True
         else:
             place = self._find_spot()
@@ -393,19 +393,12 @@ class PF400OnWire(OnLine):
         return held
 
     def _let_go(self, width: float) -> None:
-        if self.top(f"hand:{self.name}") and width > self.joints[4]:
+        if self.find_held_plate() and width > self.joints[4]:
             place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
-            if self.is_waste(place):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place, _name_grip(width))
+            self.open_hand(place, _name_grip(width))
         self.joints = (*self.joints[:4], width, *self.joints[5:])
-
-    def is_waste(self, place: str) -> bool:
-        chutes = {self.place(name) for name in self.config.get("waste", ())}
-        return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
     def _find_place_under(self, joints: Joints) -> str:
         """The place that the hand is over."""
@@ -422,7 +415,7 @@ class PF400OnWire(OnLine):
         """The place, or the lid's place on the plate there, where the fingers are: round what they hold, or
         else round what stands there."""
         x, y, z, _ = kinematics.find_hand(self.joints)
-        held = self.top(f"hand:{self.name}")
+        held = self.find_held_plate()
         for place in self._find_places_near((x, y), SPOT_MM):
             plate = self.top(place)
             if self._is_at((x, y, z), self._find_grip_point(place, held or plate)):

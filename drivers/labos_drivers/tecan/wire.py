@@ -6,7 +6,6 @@ import re
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
-from labos.node.world import lid_of
 from labos_drivers._onwire import OnWire
 from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import GRIDS, Calibration, frame
@@ -187,8 +186,7 @@ class TecanOnWire(OnWire):
     def _flash(self, well: str) -> None:
         plate = self.top(self.place("default"))
         od = optics_of(self.world, plate)(well, self._nm) if plate else 0.0
-        if plate and self.world.at(lid_of(plate)):
-            self.world.crash(self.name, self.place("default"), "reads through a lid")
+        self.crash_if_lidded(self.place("default"), "reads through a lid")
         light = 10**-od * self._random.gauss(1.0, 0.002)
         sample = round(CALIBRATION.dark + light * (CALIBRATION.bright - CALIBRATION.dark))
         self._numbers(protocol.write_measurement(self._nm, min(sample, 65535), CALIBRATION.reference_bright))

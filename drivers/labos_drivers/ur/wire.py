@@ -88,7 +88,7 @@ class UROnWire(OnLine):
         while b"\n" in self._asked:
             line, _, self._asked = self._asked.partition(b"\n")
             if line.strip() == b"GET OBJ":
-                held = bool(self.top(f"hand:{self.name}"))
+                held = bool(self.find_held_plate())
                 seen = protocol.HELD_CLOSING if held else protocol.EMPTY
                 self.fingers.write(b"OBJ %d\n" % (protocol.MOVING if self.fingers_move else seen))
 
@@ -186,11 +186,8 @@ class UROnWire(OnLine):
 
     def _release(self, place: str) -> None:
         self.world.enter(self.name, place)
-        if self.top(f"hand:{self.name}"):
-            if place.rpartition(".")[2] in ("trash", "waste"):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place)
+        if self.find_held_plate():
+            self.open_hand(place)
 
     def _do(self, entry: dict[str, Any]) -> None:
         plate = self.place(entry["plate"]) if "plate" in entry else ""
