@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
@@ -119,27 +120,23 @@ class VideoDevice(Life):
     def _run_within(self, limit_s: float, work: Callable[[], T]) -> T:
         """Run something in a thread, for so long at most: OpenCV may wait for ever for a camera that hangs.
         The thread is then left behind."""
-        done: list[T] = []
-        failed: list[Exception] = []
+        ends: Future[T] = Future()
 
         def run() -> None:
             try:
-                done.append(work())
+                ends.set_result(work())
             except Exception as error:
-                failed.append(error)
+                ends.set_exception(error)
 
-        thread = threading.Thread(target=run, name=f"{self.name} picture", daemon=True)
-        thread.start()
-        thread.join(limit_s)
-        if failed:
-            raise failed[0]
-        if not done:
+        threading.Thread(target=run, name=f"{self.name} picture", daemon=True).start()
+        try:
+            return ends.result(limit_s)
+        except TimeoutError:
             raise LinkLost(
                 f"{self.name}: the camera {self._where} has sent no picture within {limit_s:g} s.",
                 effects="none",
                 remedy="Unplug it and plug it in again, then restart the node of this module.",
-            )
-        return done[0]
+            ) from None
 
 
 class NetworkCamera:

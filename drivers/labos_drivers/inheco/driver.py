@@ -67,7 +67,7 @@ class InhecoDriver(Wired):
             self._move_drawer("ACD", "0")
 
     def _move_drawer(self, command: str, goal: str) -> None:
-        if self._ask("RSE", "[012]") != "0":
+        if self._read_shaker() != "0":
             raise self.make_refusal("it shakes", "Stop shaking first.")
         self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
@@ -130,7 +130,7 @@ class InhecoDriver(Wired):
                 raise self.make_refusal("this incubator has no shaker")
             if self._read_drawer() != "0":
                 raise self.make_refusal("the door is not closed", "Close the door first.")
-            if self._ask("RSE", "[012]") != "0":
+            if self._read_shaker() != "0":
                 self._stop_shaking()
             tenths_hz, tenths_mm = round(rpm / 6), round(amplitude_mm * 10)
             self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
@@ -138,7 +138,7 @@ class InhecoDriver(Wired):
             self._order("ASE1")
             with self.under_way():
                 self._await(
-                    lambda: self._ask("RSE", "[012]") == protocol.SHAKES,
+                    lambda: self._read_shaker() == protocol.SHAKES,
                     self.limit_s("shaker", SHAKER_S),
                     "the shaker does not run",
                 )
@@ -152,10 +152,14 @@ class InhecoDriver(Wired):
         self._order("ASE0")
         with self.under_way():
             self._await(
-                lambda: self._ask("RSE", "[012]") == "0",
+                lambda: self._read_shaker() == "0",
                 self.limit_s("shaker", SHAKER_S),
                 "the shaker does not stop",
             )
+
+    def _read_shaker(self) -> str:
+        """``0`` if it stands still."""
+        return self._ask("RSE", "[012]")
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -196,7 +200,7 @@ class InhecoDriver(Wired):
         return {
             "door": {"0": "closed", "1": "open"}.get(drawer, "moving"),
             "plate": self._detect_plate(),
-            "shaking": self._ask("RSE", "[012]") != "0",
+            "shaking": self._read_shaker() != "0",
             "heating": self._ask("RHE", "[012]") != "0",
             "temperature": self._read_temperature(),
             "target": int(self._ask("RTT", r"\d{1,3}")) / 10,
@@ -207,7 +211,7 @@ class InhecoDriver(Wired):
     def observe(self) -> dict[str, Any]:
         """The plate is felt when the drawer closes; while it is open, and after a reset, nobody knows."""
         drawer, plate = self._read_drawer(), self._detect_plate()
-        seen: dict[str, Any] = {"shaking": self._ask("RSE", "[012]") != "0"}
+        seen: dict[str, Any] = {"shaking": self._read_shaker() != "0"}
         if drawer:
             seen["door"] = "open" if drawer == "1" else "closed"
         if plate is not None:

@@ -316,8 +316,7 @@ class PF400OnWire(OnLine):
         if then is not None:
             then()
         else:
-            self._deaf = False
-            self._obey_all()
+            self._listen_again()
 
     def _compute_joints(self) -> Joints:
         if self._way is None:
@@ -338,13 +337,7 @@ class PF400OnWire(OnLine):
             self._send_done()
             return
         self._deaf = True
-
-        def finish() -> None:
-            self._deaf = False
-            self._send_done()
-            self._obey_all()
-
-        self._then = finish
+        self._then = lambda: self._listen_again("")
 
     def _move_one(self, words: list[str]) -> None:
         target = list(self._compute_joints())
@@ -385,11 +378,7 @@ class PF400OnWire(OnLine):
             held = bool(place and self.world.at(place))
             if held:
                 self.world.grip(self.name, place, _name_grip(width))
-        self.joints = (
-            *self.joints[:4],
-            width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0),
-            *self.joints[5:],
-        )
+        self.set_fingers(width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0))
         return held
 
     def _let_go(self, width: float) -> None:
@@ -398,7 +387,7 @@ class PF400OnWire(OnLine):
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
             self.open_hand(place, _name_grip(width))
-        self.joints = (*self.joints[:4], width, *self.joints[5:])
+        self.set_fingers(width)
 
     def _find_place_under(self, joints: Joints) -> str:
         """The place that the hand is over."""
@@ -457,13 +446,7 @@ class PF400OnWire(OnLine):
         def arrive() -> None:
             report = work()
             up = (*self._find_approach(station)[:4], *self.joints[4:])
-
-            def end() -> None:
-                self._deaf = False
-                self._send_done(report)
-                self._obey_all()
-
-            self._move(up, then=end)
+            self._move(up, then=lambda: self._listen_again(report))
 
         target = self._taught[station]
         self._move((*target[:4], self.joints[4], *target[5:]), then=arrive)
@@ -497,10 +480,16 @@ class PF400OnWire(OnLine):
 
         def end() -> None:
             what()
-            self._deaf = False
-            self._obey_all()
+            self._listen_again()
 
         self.after(lab_s, end)
+
+    def _listen_again(self, report: str | None = None) -> None:
+        """Obey what has been waiting; before, send a report if there is one."""
+        self._deaf = False
+        if report is not None:
+            self._send_done(report)
+        self._obey_all()
 
     def _send_done(self, data: str = "") -> None:
         self.send((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)

@@ -16,7 +16,6 @@ from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import Calibration, Grid
 
 ANSWER_S, GATE_S, ROW_S, INIT_S = 5.0, 30.0, 300.0, 60.0
-MOST_WAVELENGTHS = 800
 WHO = "a Tecan Infinite"
 STATES = ("ST", "BY", "PD", "PU", "PA", "MSG", "+BY")
 
@@ -109,10 +108,12 @@ class TecanDriver(Wired):
     def _list_wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
         if start_nm > end_nm:
             raise self.make_refusal(f"{start_nm:g} nm lies behind {end_nm:g} nm")
-        count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
-        if count > MOST_WAVELENGTHS:
-            raise self.make_refusal(f"{count} wavelengths are more than {MOST_WAVELENGTHS}")
-        return [round(start_nm + number * step_nm, 1) for number in range(count)]
+        wavelengths = protocol.list_wavelengths(start_nm, end_nm, step_nm)
+        if len(wavelengths) > protocol.MOST_WAVELENGTHS:
+            raise self.make_refusal(
+                f"{len(wavelengths)} wavelengths are more than {protocol.MOST_WAVELENGTHS}"
+            )
+        return wavelengths
 
     @contextmanager
     def _scan(self) -> Iterator[None]:

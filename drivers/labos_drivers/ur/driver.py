@@ -32,12 +32,6 @@ PENDANT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "dispose_tip": ({"tool": "pipette", "tip": "sample"}, {"tip": ""}),
 }
 """What the arm's inputs have to tell before each action of the pendant drop, and what has changed then."""
-SENSORS: dict[str, tuple[str, Any, Any]] = {
-    "tool": ("pipette_input", "pipette", ""),
-    "tip": ("tip_input", "sample", ""),
-    "docked": ("dock_input", True, False),
-}
-"""By which input, and what it means when it is on and when it is off."""
 
 
 class URDriver(Wired):
@@ -73,7 +67,7 @@ class URDriver(Wired):
         pendant = setup.config.get("pendant") or {}
         self._wired = {
             variable: (programs.read_input(setup, pendant, key, "pendant"), on, off)
-            for variable, (key, on, off) in SENSORS.items()
+            for variable, (key, on, off) in protocol.SENSORS.items()
             if key in pendant
         }
 
@@ -364,7 +358,9 @@ class URDriver(Wired):
         return answer.decode("utf-8", "replace").strip()
 
     def _ask_status(self, question: str, begins: str) -> str:
-        answer = self._ask(question)
+        return self._parse_status(self._ask(question), question, begins)
+
+    def _parse_status(self, answer: str, question: str, begins: str) -> str:
         if not answer.startswith(begins):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.")
         return answer.removeprefix(begins).strip()
@@ -378,9 +374,7 @@ class URDriver(Wired):
         answer = self._ask("safetystatus")
         if _is_not_understood(answer):
             return self._ask_status("safetymode", "Safetymode:")
-        if not answer.startswith("Safetystatus:"):
-            raise Garbled(f"{self.name}: {answer!r} is no answer to 'safetystatus'.")
-        return answer.removeprefix("Safetystatus:").strip()
+        return self._parse_status(answer, "safetystatus", "Safetystatus:")
 
     def _read_state(self) -> str:
         answer = self._ask("programState")

@@ -251,12 +251,7 @@ class UROnWire(OnLine):
 
     def _sensors(self) -> set[int]:
         """The inputs that pipette and tip switch on."""
-        wired = (
-            ("pipette_input", self.rig.wears_pipette),
-            ("tip_input", self.rig.has_tip),
-            ("dock_input", self.rig.is_docked),
-        )
-        return {int(self._pendant[key]) for key, on in wired if on and key in self._pendant}
+        return {int(self._pendant[key]) for key in self.rig.list_inputs() if key in self._pendant}
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""
