@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from difflib import get_close_matches
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
+
+import msgspec
 
 from labos.link import SerialWire
 from labos.link.serial import Parity
 from labos.node import Setup
 from labos_drivers._refusals import make_refusal
 
+PositiveInt = Annotated[int, msgspec.Meta(gt=0)]
 BYTESIZES, STOPBITS = (5, 6, 7, 8), (1, 1.5, 2)
 
 
@@ -63,16 +66,22 @@ def _parse_seconds(text: str) -> Any:
 def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: Parity = "N") -> SerialWire:
     """A serial port with the settings of the device as shipped, unless the config has others. Raises
     DeviceError."""
-    config = setup.config
-    found = config.get("baudrate", baudrate)
-    if isinstance(found, bool) or not isinstance(found, int) or found <= 0:
-        raise make_refusal(setup.name, f"`baudrate:` is {found!r}", f"As shipped: {baudrate}.")
+    found = read_setting(setup, "baudrate", baudrate, PositiveInt, f"As shipped: {baudrate}.")
     chosen = {
         "parity": _read_choice(setup, "parity", get_args(Parity), parity),
         "bytesize": _read_choice(setup, "bytesize", BYTESIZES, 8),
         "stopbits": _read_choice(setup, "stopbits", STOPBITS, 1),
     }
     return SerialWire(port, baudrate=found, **chosen)
+
+
+def read_setting(setup: Setup, key: str, usual: Any, kind: Any, remedy: str = "") -> Any:
+    """A setting of the config, of a type with limits that msgspec knows. Raises DeviceError."""
+    configured = setup.config.get(key, usual)
+    try:
+        return msgspec.convert(configured, kind)
+    except msgspec.ValidationError:
+        raise make_refusal(setup.name, f"`{key}:` is {configured!r}", remedy) from None
 
 
 def _read_choice(setup: Setup, key: str, choices: Collection[Any], usual: Any) -> Any:

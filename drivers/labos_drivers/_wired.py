@@ -13,11 +13,12 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, ClassVar, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 from labos.errors import DeviceError, LinkError, WrongDevice
 from labos.link.life import Life
 from labos.node import Setup, see_unit, under_way
+from labos.node.torture import WiredDevice
 from labos.node.worker import Worker
 from labos_drivers._limits import read_deadlines
 from labos_drivers._refusals import Refusing, make_refusal
@@ -29,19 +30,8 @@ T = TypeVar("T")
 
 CLOSE_S = 1.0
 
-
-class DeviceOnWire(Protocol):
-    """A simulated device behind a wire."""
-
-    @property
-    def address(self) -> str:
-        """What a driver opens."""
-
-    def start(self) -> None:
-        """Power on."""
-
-    def close(self) -> None:
-        """Power off."""
+DeviceOnWire: TypeAlias = WiredDevice
+"""A simulated device behind a wire."""
 
 
 def off_loop(

@@ -20,7 +20,6 @@ from labos_drivers.axis.table import STAGE, AxisTable
 NODE = 1
 REMOTE, VOLTAGE = 1 << 9, 1 << 4
 FOLLOWING, OVERHEATED = 0x8611, 0x4310
-NO_HOME = 0x7320
 LAGS_S = 2.0
 """In lab time: so long a blocked drive pushes before it gives up."""
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from labos.errors import DeviceError, Garbled
 from labos.link import Link
 from labos.node import Setup
-from labos_drivers._limits import make_serial_wire
-from labos_drivers._refusals import make_refusal
+from labos_drivers._limits import make_serial_wire, read_setting
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.inheco import protocol
 
 ANSWER_S, DRAWER_S, SHAKER_S = 3.0, 15.0, 20.0
 POLL_S = 0.2
 WHO = "an Inheco incubator"
+Id, Floor = Annotated[int, msgspec.Meta(ge=0, le=15)], Annotated[int, msgspec.Meta(ge=0, le=5)]
 
 
 class Refused(DeviceError):
@@ -43,8 +45,8 @@ class InhecoDriver(Wired):
 
     def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
-        self._device = read_integer(setup, "id", protocol.USUAL_ID, 0, 15)
-        self._floor = read_integer(setup, "floor", 0, 0, 5)
+        self._device = read_setting(setup, "id", protocol.USUAL_ID, Id, "Write 0 to 15.")
+        self._floor = read_setting(setup, "floor", 0, Floor, "Write 0 to 5.")
         self._target_c: float | None = None
         self.link = Link(
             make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
@@ -276,11 +278,3 @@ class InhecoDriver(Wired):
                 if error.code != protocol.RESET:
                     return ""
         return ""
-
-
-def read_integer(setup: Setup, key: str, usual: int, low: int, high: int) -> int:
-    """A whole number of the configuration. Raises DeviceError."""
-    configured = setup.config.get(key, usual)
-    if isinstance(configured, bool) or not isinstance(configured, int) or not low <= configured <= high:
-        raise make_refusal(setup.name, f"`{key}:` is {configured!r}", f"Write {low} to {high}.")
-    return configured

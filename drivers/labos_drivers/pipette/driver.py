@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -12,7 +12,7 @@ from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
 from labos.node.node import note_handle
-from labos_drivers._limits import make_serial_wire
+from labos_drivers._limits import make_serial_wire, read_setting
 from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.pipette import protocol
@@ -21,6 +21,7 @@ from labos_drivers.pipette.protocol import Answer, Kind
 ANSWER_S, POLL_S, LOST_S = 2.0, 0.1, 10.0
 START_S, EJECT_S, SLACK_S = 30.0, 10.0, 5.0
 WHO = "a pump that speaks DT"
+StrokeUl = Annotated[float, msgspec.Meta(gt=0, le=5000)]
 
 
 class Stroke(msgspec.Struct, frozen=True):
@@ -256,7 +257,4 @@ def read_kind(setup: Setup) -> Kind:
             f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
         )
     kind = protocol.KINDS[named]
-    volume = setup.config.get("volume_ul", kind.volume_ul)
-    if isinstance(volume, bool) or not isinstance(volume, int | float) or not 0 < volume <= 5000:
-        raise make_refusal(setup.name, f"`volume_ul:` is {volume!r}")
-    return kind._replace(volume_ul=float(volume))
+    return kind._replace(volume_ul=read_setting(setup, "volume_ul", kind.volume_ul, StrokeUl))
