@@ -11,7 +11,7 @@ from labos.core.decide.shorter import FoundAction
 from labos.core.ids import ActionId, ModuleName
 from labos.core.lab import KernelStarted
 from labos.errors import JournalDamaged, Refused
-from labos.node.journal import Journal, knows_more
+from labos.node.journal import Memory, knows_more, read_journal
 from labos.ports import LogQuery
 from labos.services.log import Log, decode_event
 
@@ -29,7 +29,7 @@ def find_owners(folder: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
-            journal = Journal.read(path.read_bytes())
+            journal = read_journal(path.read_bytes())
             if journal.lab:
                 found[path.stem] = journal.lab
     return found
@@ -51,7 +51,7 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
         )
 
 
-def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
+def list_surplus(log: Log, journals: dict[str, Memory]) -> list[Surplus]:
     """The entries of journals that the log does not have. The journals must have been read before the log, as
     a request is in the log before its node receives it."""
     head = log.head()
@@ -67,7 +67,7 @@ def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
             found.append(Surplus(name, f"a kernel of epoch {journal.epoch}; the log's last has {head.epoch}"))
         if knows_more(journal.pruned, journal.pruned_by, head.position, starts):
             found.append(Surplus(name, f"of a log up to position {journal.pruned}"))
-        for attempt in journal.open_attempts():
+        for attempt in journal.list_attempts():
             if not _is_requested(log, attempt.position, attempt.action, head.position):
                 what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
                 found.append(Surplus(name, what))
@@ -82,12 +82,12 @@ def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundActi
     found: list[tuple[ModuleName, list[FoundAction], int]] = []
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
-            journal = Journal.read(path.read_bytes())
+            journal = read_journal(path.read_bytes())
             if journal.lab != head.lab:
                 continue
             strange = [
                 FoundAction(ActionId(a.action), a.name, a.status, a.position, a.effects)
-                for a in journal.open_attempts()
+                for a in journal.list_attempts()
                 if not _is_requested(log, a.position, a.action, head.position)
             ]
             more = knows_more(journal.pruned, journal.pruned_by, head.position, starts)
