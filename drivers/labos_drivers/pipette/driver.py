@@ -139,20 +139,13 @@ class PipetteDriver(Wired):
     def _await_rest(self, limit_s: float) -> None:
         """Wait until the plunger rests; a line that fails for a while is asked again. Raises DeviceError."""
         deadline = time.monotonic() + limit_s
-        lost_since = 0.0
+        lost_s = self.limit_s("lost", LOST_S)
         while True:
-            try:
-                answer = self._ask("Q")
-            except LinkError:
-                lost_since = lost_since or time.monotonic()
-                if time.monotonic() > lost_since + self.limit_s("lost", LOST_S):
-                    raise
-            else:
-                lost_since = 0.0
-                self._check_answer(answer, "it moved", "unknown")
-                if answer.ready:
-                    return
-            if time.monotonic() > deadline + self.limit_s("lost", LOST_S):
+            answer = self.ask_again(lambda: self._ask("Q"), lost_s, POLL_S)
+            self._check_answer(answer, "it moved", "unknown")
+            if answer.ready:
+                return
+            if time.monotonic() > deadline + lost_s:
                 raise DeviceError(f"{self.name}: the plunger has not come to rest within {limit_s:.0f} s.")
             time.sleep(POLL_S)
 
