@@ -25,10 +25,10 @@ from labos.ports import Bus
 from labos.services.catalogue import Catalogue
 from labos.services.runs import RunBook
 from labos.spec import compile_workflow, find_spec, load_workcell
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab, Stand
+from labos.testing.processes import NotedFiles
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab, Stand
-from tests.support.simulation.processes import NotedFiles
 
 LOOK_S = 1.0
 """How often an application looks whether a run has ended (lab seconds)."""

@@ -12,10 +12,10 @@ from msgspec.structs import replace
 from labos.core.state import encode_picture
 from labos.planning.hindsight import Hindsight
 from labos.planning.lab_forecast import ForecastRequest, LabForecast, forecast_lab
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.benchmarks.figures import Figure, Report, times
 from tests.simulation.calibration import jobs, well_stocked
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 FEW, MANY = 50, 200
 MUST = 2.0

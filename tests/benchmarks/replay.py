@@ -33,10 +33,10 @@ from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Ledger, fold, load
 from labos.runtime.writer import ThreadWriter
 from labos.store import SqlEventStore, open_store
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.benchmarks.figures import Figure, Report, median, scratch, spread, times
 from tests.simulation.mixes import mix, stand
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 MUST, MUST_SNAPSHOT_S, MUST_READY_S, MUST_READY_BARE_S = 6.0, 1.0, 2.0, 20.0
 BATCH = 4000

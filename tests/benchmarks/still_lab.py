@@ -31,8 +31,8 @@ from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import EventStore, Head
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
+from labos.testing.disk import SimulatedStore
 from tests.simulation.mixes import CELL, PLANS, route, stand
-from tests.support.simulation.disk import SimulatedStore
 
 T = TypeVar("T")
 ROUTES = 40

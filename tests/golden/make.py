@@ -23,6 +23,8 @@ from labos.core.envelope import Record
 from labos.core.state import LabState
 from labos.runtime.ledger import fold
 from labos.store import FolderBlobs, backup, open_store, read_backup, read_segment, records_of, write_segment
+from labos.testing.faults import STORMY
+from labos.testing.lab import Job, SimulatedLab
 from tests.golden.view import lab_view
 from tests.simulation.mixes import (
     colour_picker,
@@ -34,8 +36,6 @@ from tests.simulation.mixes import (
     stand,
 )
 from tests.support.lab_process import Up, statuses, until
-from tests.support.simulation.faults import STORMY
-from tests.support.simulation.lab import Job, SimulatedLab
 
 FOLDER = Path(__file__).parent
 SEED = 11

@@ -26,9 +26,9 @@ from labos.planner.lengths import find_quantile
 from labos.planning.hindsight import TARGET, Hindsight, PastForecast, TimeRange, foresee
 from labos.planning.virtual import Play, VirtualLab
 from labos.services.log import decode_events
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import CELL, NODES, make_generated, pcr, route, stand
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 SECOND = 1_000_000_000
 FAR = 2**62

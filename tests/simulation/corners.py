@@ -10,9 +10,9 @@ from labos.node.node import Node
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.spec import compile_workflow, parse_workcell, parse_workflow
 from labos.spec.workcell import CompiledWorkcell
+from labos.testing.faults import QUIET, FaultRates
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 A_DAY_S = 24 * 3600.0
 

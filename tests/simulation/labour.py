@@ -26,11 +26,11 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
 from labos.services.standstill import Cause
 from labos.spec import compile_workflow, parse_workflow
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab
+from labos.testing.loop import Killed, Process
 from labos_drivers._simulation import Instrument, Simulated
 from tests.simulation.corners import Corner
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab
-from tests.support.simulation.loop import Killed, Process
 
 HOW = ("well", "jam", "nonsense")
 WORK_S = 600

@@ -14,7 +14,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.model import Description
 from labos.node.node import Node
 from labos.spec import compile_workflow, find_spec, load_workcell, parse_workflow
-from tests.support.simulation.lab import Job, Stand
+from labos.testing.lab import Job, Stand
 
 NODES: dict[str, type[Node]] = {e.name: e.load() for e in entry_points(group="labos.drivers")}
 DESCRIPTIONS: dict[str, Description] = {name: node.describe() for name, node in NODES.items()}

@@ -9,11 +9,11 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.registry import Event, decode
 from labos.node import Consumes, DeviceError, Move, Needs, Param, Place, Sets, Station, Take, action
 from labos.spec import compile_workflow, parse_workcell, parse_workflow
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from labos_drivers._arm import SOURCE, TARGET, Arm
 from labos_drivers._simulation import Instrument, Simulated
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 HOW = ("well", "before", "half", "after", "silent before", "silent half", "silent after")
 """How an action fails: before it begins, half-way or when all is done; and whether it says so."""

@@ -12,9 +12,9 @@ from labos.spec import compile_workcell, compile_workflow
 from labos.spec.importing import import_spec
 from labos.spec.source import parse, read
 from labos.spec.uses import read_uses
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 PAPER = Path(__file__).parents[1] / "unit/spec/paper"
 PAYLOAD = {"seal": {"time": 3}, "seal.time": 3}

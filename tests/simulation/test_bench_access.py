@@ -15,11 +15,11 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import LabosError
 from labos.node.world import World
+from labos.testing.faults import QUIET, FaultRates
+from labos.testing.lab import LOOK_S, SimulatedLab
+from labos.testing.loop import Killed
 from tests.simulation.mixes import CELL, identical, stand
 from tests.support.seeds import quiet_and_stormy
-from tests.support.simulation.faults import QUIET, FaultRates
-from tests.support.simulation.lab import LOOK_S, SimulatedLab
-from tests.support.simulation.loop import Killed
 
 CELL_NAME = CELL.workcell.name
 VISITS = 4

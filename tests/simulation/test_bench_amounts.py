@@ -18,14 +18,14 @@ from labos.core.ids import ModuleName
 from labos.core.state import LabState
 from labos.spec import compile_workflow, parse_workflow
 from labos.spec.tables import Descriptions
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from labos_drivers.ot2 import OT2
 from labos_drivers.ot2.protocol import with_values
 from labos_drivers.ot2.simulator import OT2Simulator
 from labos_drivers.ot2.tips import count_used_tips
 from labos_drivers.ot2.translate import translate
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 RACKS = 96
 FILES = {

@@ -14,10 +14,10 @@ from labos.core.ids import ModuleName
 from labos.core.resources import Level, Lot
 from labos.core.state import LabState
 from labos.node import Consumes, Node, World, action
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
+from labos.testing.loop import BASE_NS
 from tests.simulation.corners import Corner
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
-from tests.support.simulation.loop import BASE_NS
 
 A_DAY_NS = 24 * 3600 * 10**9
 PACK = 2

@@ -13,11 +13,11 @@ from labos.core.runs import PENDING, RunFailed, Runs
 from labos.core.state import LabState
 from labos.core.steps import StepRetried, fold_step_retried
 from labos.planning import paths
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab
+from labos.testing.loop import Stalled
 from tests.simulation.corners import jobs
 from tests.simulation.moods import CORNER, GET, carry, make_crossing, make_sorted_out, run
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import SimulatedLab
-from tests.support.simulation.loop import Stalled
 
 CROSSING = [make_crossing("p", "q"), make_crossing("q", "p")] * 3
 

@@ -15,10 +15,10 @@ from labos.core.ids import LabwareId, Owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.state import LabState
 from labos.node import Needs, Node, Station, World, action
+from labos.testing.faults import QUIET, FaultRates
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.corners import Corner
 from tests.support.seeds import quiet_and_stormy
-from tests.support.simulation.faults import QUIET, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
 
 
 class Scale(Node):

@@ -13,9 +13,9 @@ from labos.core.waits import Wait
 from labos.planning.explain import describe_wait
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import BenchFile, Stock
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 CELL = parse_workcell(
     find_spec("workcells", "rpl")

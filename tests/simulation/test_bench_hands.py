@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from labos.core import binding
+from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import STORMY
 
 CORNER = Corner("""
 labos: 1

@@ -10,9 +10,9 @@ import pytest
 from labos.core.decide.runs import SubmitRun
 from labos.core.state import LabState
 from labos.node import Needs, Node, Station, World, action
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.corners import Corner
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
 
 STILL_S = 3 * 3600.0
 """If nothing has happened for so long, nothing will."""

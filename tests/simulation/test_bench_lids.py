@@ -16,11 +16,11 @@ from labos.core.waits import Wait
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import BenchFile, Stock
+from labos.testing.faults import QUIET, FaultRates
+from labos.testing.lab import Job, SimulatedLab, Stand, make_bare_scheduler
+from labos.testing.loop import Stalled
 from tests.simulation.mixes import DESCRIPTIONS, NODES
 from tests.support.seeds import few_and_many, quiet_and_stormy
-from tests.support.simulation.faults import QUIET, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, Stand, make_bare_scheduler
-from tests.support.simulation.loop import Stalled
 
 SEEDS = range(6)
 DAYS_S = 3 * 24 * 3600.0

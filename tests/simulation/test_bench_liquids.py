@@ -9,9 +9,9 @@ from labos.core import binding, rules
 from labos.core.ids import ModuleName
 from labos.core.state import LabState
 from labos.planning import stuck
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 CORNER = Corner("""
 labos: 1

@@ -14,10 +14,10 @@ from msgspec.structs import replace
 from labos.core.actions import ActionFailed
 from labos.core.labware import LabwareUncertain
 from labos.core.runs import RunFailed
+from labos.testing.faults import STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.corners import Corner
 from tests.simulation.seen import events
-from tests.support.simulation.faults import STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 CORNER = Corner(
     """

@@ -10,9 +10,9 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.effects import Needs
 from labos.core.model import StationSpec
 from labos.node import Node, Station, World, action
+from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import STORMY
 
 
 class Balance(Node):

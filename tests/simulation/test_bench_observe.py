@@ -14,9 +14,9 @@ from labos.core.interventions import InterventionResolved
 from labos.core.labware import StationObserved
 from labos.core.state import LabState
 from labos.runtime.reconcile import Reconciler
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.simulation.seen import HOW, STAND, Lonely, events, job, work
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 LATER = 2 * 3600.0
 CARRY = "arm.transfer source=wc.a, target=wc.b"

@@ -10,10 +10,10 @@ import pytest
 from labos.core.decide.experiments import StartExperiment
 from labos.core.ids import SHARED, StationName
 from labos.node import Needs, Node, Station, World, action
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
+from labos.testing.loop import Stalled
 from tests.simulation.corners import Corner
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
-from tests.support.simulation.loop import Stalled
 
 
 class Scale(Node):

@@ -17,12 +17,12 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.node import Needs, Node, Place, Station, World, action
 from labos.runtime import kernel
+from labos.testing.faults import QUIET, STORMY
+from labos.testing.lab import SimulatedLab, make_bare_scheduler
 from labos_drivers._simulation import Instrument, Simulated
 from tests.simulation.corners import Corner, jobs
 from tests.simulation.whole import Oven
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import QUIET, STORMY
-from tests.support.simulation.lab import SimulatedLab, make_bare_scheduler
 
 SEEDS = range(2)
 

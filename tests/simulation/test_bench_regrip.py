@@ -9,10 +9,10 @@ from labos.core import binding
 from labos.core.ids import StationName
 from labos.core.state import LabState
 from labos.core.waits import Wait
+from labos.testing.faults import STORMY
+from labos.testing.lab import make_bare_scheduler
 from tests.simulation.corners import Corner
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import STORMY
-from tests.support.simulation.lab import make_bare_scheduler
 
 CORNER = Corner("""
 labos: 1

@@ -18,9 +18,9 @@ from labos.core.model import PlanStep, Retry
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.node import DeviceError, Needs, Node, Param, Station, World, action
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 
 class Press(Node):

@@ -12,9 +12,9 @@ from labos.core.bench import Bench
 from labos.core.decide.runs import SubmitRun
 from labos.core.effects import AnyEffect, Move
 from labos.core.ids import StationName
+from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import STORMY
 
 CORNER = Corner("""
 labos: 1

@@ -8,9 +8,9 @@ import pytest
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from labos.node import Needs, Node, Place, Station, World, action
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 
 CORNER = Corner("""
 labos: 1

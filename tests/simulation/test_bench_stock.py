@@ -15,11 +15,11 @@ from msgspec.structs import replace
 from labos.core import binding, rules
 from labos.core.ids import local
 from labos.planning import stuck
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab, Stand
+from labos.testing.loop import Stalled
 from tests.simulation.mixes import mix, stand
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import SimulatedLab, Stand
-from tests.support.simulation.loop import Stalled
 
 SEEDS = range(3)
 DAYS_S = 3 * 24 * 3600.0

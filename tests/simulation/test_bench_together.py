@@ -7,10 +7,10 @@ import pytest
 from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide.runs import SubmitRun
 from labos.core.registry import decode
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Meddle, SimulatedLab, make_cancellers
 from tests.simulation.corners import Corner, jobs
 from tests.support.centrifuge import Centrifuge, count_spins, list_turns
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Meddle, SimulatedLab, make_cancellers
 
 CORNER = Corner(
     """

@@ -14,9 +14,9 @@ from labos.core.waits import Wait
 from labos.planning.explain import describe_wait
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow, validate_workflow
 from labos.spec.bench import BenchFile, Stock
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 CELL = parse_workcell(
     find_spec("workcells", "rpl")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from labos.core.bench import StationState
+from labos.testing.faults import QUIET, STORMY
+from labos.testing.lab import SimulatedLab
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET, STORMY
-from tests.support.simulation.lab import SimulatedLab
 
 CORNER = Corner("""
 labos: 1

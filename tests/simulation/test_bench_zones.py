@@ -6,8 +6,8 @@ import pytest
 
 from labos.core import rules
 from labos.core.decide.runs import SubmitRun
+from labos.testing.faults import STORMY
 from tests.simulation.corners import Corner
-from tests.support.simulation.faults import STORMY
 
 CORNER = Corner("""
 labos: 1

@@ -23,12 +23,12 @@ from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.core.shares import Group, Member
 from labos.core.state import hash_state
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab
+from labos.testing.stand import Meddle
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import mix, pcr, stand
 from tests.support.bench import SECOND, Driver, move, plan, sets, small_cell, step, take, workcell
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import SimulatedLab
-from tests.support.simulation.stand import Meddle
 
 MINUTE, DAY = 60 * SECOND, 86_400 * SECOND
 GROUPS = {"ada": "chemistry", "bo": "chemistry", "cy": "", "di": ""}

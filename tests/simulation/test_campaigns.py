@@ -19,9 +19,9 @@ from labos.core.viewer import Viewer
 from labos.http.restricted import RestrictedCampaigns
 from labos.runtime.feeder import Feeder
 from labos.runtime.kernel import Kernel
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import PLANS, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
 
 ROWS = 4
 BAD_ROW = 2

@@ -10,9 +10,9 @@ import pytest
 
 from labos.core.ids import local
 from labos.core.state import LabState
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab, make_cancellers
 from tests.simulation.mixes import mix, pcr, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, make_cancellers
 
 STEPS = 14
 """Steps of the PCR itself."""

@@ -11,12 +11,12 @@ from labos.core.registry import decode
 from labos.core.runs import RunBound
 from labos.spec import compile_workflow, parse_workflow
 from labos.spec.choices import list_choices
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab
 from tests.benchmarks.league.cases import RPL_STOCK, two_cyclers
 from tests.benchmarks.league.play import Player
 from tests.docs.markdown import REFERENCE, blocks
 from tests.simulation.mixes import CELL, DESCRIPTIONS, stand
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab
 
 TEXT = next(
     block.text

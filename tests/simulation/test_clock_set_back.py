@@ -9,10 +9,10 @@ import pytest
 from labos.core.decide.control import PauseStarts, ResumeStarts
 from labos.planning.scheduler import make_searching_scheduler
 from labos.runtime.kernel import Kernel
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab
+from labos.testing.loop import VirtualClock
 from tests.simulation.proof.labs import cell, route
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab
-from tests.support.simulation.loop import VirtualClock
 
 FAST_S = 9 * 3600.0
 ALL = "*"

@@ -16,9 +16,9 @@ from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.envelope import Record
 from labos.core.ids import ExperimentId, ModuleName, RunId, local
 from labos.core.registry import decode
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, Meddle, SimulatedLab
 from tests.simulation.mixes import PLANS, pcr, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, Meddle, SimulatedLab
 
 STEPS = 14
 """Steps of the PCR itself."""

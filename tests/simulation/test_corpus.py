@@ -23,10 +23,10 @@ from labos.spec.references import list_keys
 from labos.spec.source import Source, read
 from labos.spec.uses import read_uses, read_workflow, sort_workflows_by_workcell
 from labos.spec.workflow import StartingLabware
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES
 from tests.support.corpus import corpus
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 REFUSED = {
     "there is no module": 7,

@@ -11,11 +11,11 @@ from msgspec.structs import replace
 from labos.core.registry import decode
 from labos.core.runs import RunCompleted, RunStarted, RunSubmitted
 from labos.core.state import hash_state
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
+from labos.testing.loop import BASE_NS
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import make_hurried, mix, pcr, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
-from tests.support.simulation.loop import BASE_NS
 
 HOUR_NS = 3600 * 10**9
 FIVE_DAYS_S = 5 * 24 * 3600.0

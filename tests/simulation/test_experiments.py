@@ -9,9 +9,9 @@ from labos.core.decide._base import DECIDERS
 from labos.core.decide.experiments import LoseExperiment, StartExperiment
 from labos.core.ids import ExperimentId, StationName
 from labos.core.state import LabState
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import PLANS, pcr, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
 
 PARKING = (StationName("rpl/ot2_cp_gamma.deck2"), StationName("rpl/camera_module.plate_station"))
 TWO_DAYS_S = 2 * 24 * 3600.0

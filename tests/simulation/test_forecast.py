@@ -13,9 +13,9 @@ from labos.runtime.ledger import fold
 from labos.services.inventory import Inventory, Shortfall, count_inventory, list_shortfalls
 from labos.services.log import decode_events
 from labos.services.times import iso_time
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.corners import Corner, jobs
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab
 
 CORNER = """
 labos: 1

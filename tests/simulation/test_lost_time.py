@@ -7,11 +7,11 @@ from collections import Counter
 import pytest
 
 from labos.services.losses import LossAccount, Losses, sum_losses
+from labos.testing.lab import SimulatedLab, make_cancellers
+from labos.testing.loop import BASE_NS
 from tests.simulation.labour import MISHAPS, SECOND, Day, Witnessed, beside
 from tests.simulation.test_whole import STILL_S, WEEK_S, weather
 from tests.simulation.whole import FITS, cancels, mix, stand
-from tests.support.simulation.lab import SimulatedLab, make_cancellers
-from tests.support.simulation.loop import BASE_NS
 
 TOLERANCE_S = 0.5
 """So much may be between what devices know and what the log does, over a day; the account is kept to the

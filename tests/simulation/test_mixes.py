@@ -17,11 +17,11 @@ from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, hash_state
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
+from labos.testing.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
+from labos.testing.lab import SimulatedLab, make_bare_scheduler
+from labos.testing.loop import Stalled
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import identical, make_generated, mix, pcr, stand
-from tests.support.simulation.faults import CRASH_POINTS, QUIET, STORMY, FaultRates, Faults
-from tests.support.simulation.lab import SimulatedLab, make_bare_scheduler
-from tests.support.simulation.loop import Stalled
 
 CI_SEEDS = range(5)
 ALL_SEEDS = range(200)

@@ -14,9 +14,9 @@ from labos.planning.patience import OvertakeCounts
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import compile_text, make_slow_reading, stand
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab
 
 YOUNGER = 20
 

@@ -13,9 +13,9 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.decide.work import NoteOverdue
 from labos.core.state import LabState
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.simulation.mixes import DESCRIPTIONS, NODES, on
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 BY_HAND = "\n".join(
     (

@@ -15,11 +15,11 @@ from labos.core.runs import RunLeaving, RunSubmitted
 from labos.core.state import LabState, hash_state
 from labos.planning.layout import lay_out
 from labos.planning.safety import Safety
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import SimulatedLab, make_cancellers
 from tests.simulation.invariants import fold_again
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import SimulatedLab, make_cancellers
 
 CI_SEEDS = (0, 6, 8, 13, 19, 183)
 """Quiet and stormy, with modules that die, come back or do not."""

@@ -17,10 +17,10 @@ from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
+from labos.testing.faults import QUIET, STORMY, FaultRates
+from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import make_dosed_and_read, make_hurried, stand
 from tests.support.seeds import few_and_many
-from tests.support.simulation.faults import QUIET, STORMY, FaultRates
-from tests.support.simulation.lab import Job, SimulatedLab
 
 KEPT = (RunFailed.TYPE, InterventionRequested.TYPE)
 TWO_DAYS_S = 2 * 24 * 3600.0

@@ -11,10 +11,10 @@ import yaml
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.spec import compile_workflow, parse_workflow
+from labos.testing.faults import QUIET
+from labos.testing.lab import Job, SimulatedLab, Stand
 from tests.docs.markdown import REFERENCE, Block, blocks
 from tests.simulation.mixes import CELL, DESCRIPTIONS, NODES
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import Job, SimulatedLab, Stand
 
 PAGE = [block for block in blocks((REFERENCE / "workflow.md").read_text()) if block.language == "yaml"]
 RIGHT = [block for block in PAGE if "error" not in block.attributes]

@@ -19,9 +19,9 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from labos.core.model import MAIN, Plan
 from labos.node import Claims, Needs, Place, Releases, Requires, Sets, Station, action
+from labos.testing.lab import Job, Stand
 from labos_drivers._simulation import Gated, Instrument
 from tests.simulation.corners import Corner
-from tests.support.simulation.lab import Job, Stand
 
 
 class OvenDevice(Gated):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.simulation.faults import QUIET, STORMY
+from labos.testing.faults import QUIET, STORMY
 
 
 def few_and_many(few: int, many: int) -> pytest.MarkDecorator:

@@ -22,8 +22,8 @@ from labos.errors import Forbidden, NotSignedIn, Refused
 from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.settings import find_kernel
+from labos.testing.person import look
 from tests.support.lab_process import Up, labos, until
-from tests.support.simulation.person import look
 
 pytestmark = pytest.mark.slow
 

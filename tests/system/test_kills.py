@@ -27,8 +27,8 @@ from labos.services.truth import list_differences
 from labos.settings import find_kernel
 from labos.spec import find_spec
 from labos.store import open_store
+from labos.testing.person import look
 from tests.support.cells import PCR, rpl_with
-from tests.support.simulation.person import look
 
 KERNEL_POINTS = (
     "before_commit",

@@ -21,9 +21,9 @@ from labos.errors import LabosError, Refused
 from labos.node.world import World
 from labos.runtime.ledger import fold
 from labos.store import open_store
+from labos.testing.person import look
 from tests.support.cells import PCR
 from tests.support.lab_process import Up, statuses, until
-from tests.support.simulation.person import look
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from labos.core.interventions import Intervention
 from labos.core.state import LabState
 from labos.core.topics import FailedStep, LostExperiment, UnknownAction
 from labos.node.world import World
-from tests.support.simulation.person import look
+from labos.testing.person import look
 
 WORKED_BY = {"run_protocol": "pipette", "run_program": "synthesise"}
 """What the bench calls it that an action has been done to a plate; of a cycler, it is ``cycle``."""

@@ -35,8 +35,8 @@ from labos.planning.scheduler import Scheduler
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.ledger import Entry
+from labos.testing.loop import CountedIds, VirtualClock, VirtualLoop
 from tests.benchmarks.still_lab import MemoryWriter
-from tests.support.simulation.loop import CountedIds, VirtualClock, VirtualLoop
 
 SECOND = 1_000_000_000
 

@@ -21,12 +21,12 @@ from labos.core.envelope import Record
 from labos.core.runs import DONE, FAILED, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN
 from labos.core.state import LabState
 from labos.runtime.ledger import fold
+from labos.testing.faults import QUIET, STORMY
+from labos.testing.lab import Job, SimulatedLab
 from tests.integration.audit.logs import GrowingLog, golden, project
 from tests.simulation.mixes import mix, stand
 from tests.simulation.test_campaigns import A_WEEK_S, Facility
 from tests.support.campaigns import campaign_lab
-from tests.support.simulation.faults import QUIET, STORMY
-from tests.support.simulation.lab import Job, SimulatedLab
 
 LOGS = (
     *("real-1", "simulated-1", "campaigns"),

@@ -16,10 +16,10 @@ from labos.core.state import LabState, hash_state
 from labos.errors import LabosError
 from labos.node.journal import read_journal
 from labos.ports import Handler
+from labos.testing.bus import Network
+from labos.testing.lab import SimulatedLab
+from labos.testing.loop import Killed
 from tests.simulation.stops import causes
-from tests.support.simulation.bus import Network
-from tests.support.simulation.lab import SimulatedLab
-from tests.support.simulation.loop import Killed
 
 ENDS = ("action.succeeded", "action.failed", "action.reconciled")
 

@@ -14,11 +14,11 @@ import msgspec
 from labos.core import state as fold_code
 from labos.core.state import encode_picture, fold_fingerprint
 from labos.errors import Fenced, LabosError
+from labos.testing.lab import SimulatedLab
+from labos.testing.loop import Stalled
 from tests.simulation.proof.checks import Obedience, findings
 from tests.simulation.proof.labs import cell, jobs, meddles
 from tests.simulation.proof.steering import RATES, Steered, hits, plan
-from tests.support.simulation.lab import SimulatedLab
-from tests.support.simulation.loop import Stalled
 
 PACE = 4.0
 """Devices work so much faster: what fails is then more often in the midst of something."""

@@ -6,8 +6,8 @@ import random
 from functools import cache
 
 from labos.core.decide.runs import SubmitRun
+from labos.testing.lab import Job, Meddle, make_cancellers
 from tests.simulation.corners import Corner
-from tests.support.simulation.lab import Job, Meddle, make_cancellers
 
 TOP = """
 labos: 1

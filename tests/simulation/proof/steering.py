@@ -13,7 +13,7 @@ from collections import Counter
 
 import msgspec
 
-from tests.support.simulation.faults import CRASH_POINTS, FAULTS, LONG_S, FaultRates, Faults
+from labos.testing.faults import CRASH_POINTS, FAULTS, LONG_S, FaultRates, Faults
 
 NEAR_S = 10.0
 POINTS_EACH = 5

@@ -13,9 +13,9 @@ from labos.core.state import hash_state
 from labos.errors import BadInput
 from labos.runtime.ledger import load
 from labos.store import FolderBlobs, backup, open_store, write_segment
+from labos.testing.faults import QUIET
+from labos.testing.lab import SimulatedLab
 from tests.simulation.mixes import pcr, stand
-from tests.support.simulation.faults import QUIET
-from tests.support.simulation.lab import SimulatedLab
 from tests.unit.services.logbook import two_users
 
 

@@ -8,8 +8,8 @@ from collections.abc import Awaitable, Callable
 
 from labos.errors import NoAnswer
 from labos.ports import AliveListener, Handler, Listener
-from tests.support.simulation.faults import Faults
-from tests.support.simulation.loop import PROCESS, Killed, Process, VirtualLoop, context_of
+from labos.testing.faults import Faults
+from labos.testing.loop import PROCESS, Killed, Process, VirtualLoop, context_of
 
 OVERTAKEN_S = 2.0
 """How long a message that is to be overtaken waits for another one."""

@@ -32,11 +32,11 @@ from labos.runtime.ledger import fold
 from labos.runtime.reconcile import Reconciler
 from labos.runtime.registry import Registry
 from labos.runtime.verify import Verifier
-from tests.support.simulation.bus import Network
-from tests.support.simulation.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
-from tests.support.simulation.faults import FaultRates, Faults
-from tests.support.simulation.loop import CountedIds, Process, VirtualClock, VirtualLoop
-from tests.support.simulation.stand import Stand
+from labos.testing.bus import Network
+from labos.testing.disk import SimulatedJournalFile, SimulatedStore, SimulatedWriter
+from labos.testing.faults import FaultRates, Faults
+from labos.testing.loop import CountedIds, Process, VirtualClock, VirtualLoop
+from labos.testing.stand import Stand
 
 HEARTBEAT_S = 30.0
 

@@ -29,11 +29,11 @@ from labos.errors import Fenced, LabosError
 from labos.runtime.kernel import Kernel
 from labos.runtime.stop import stop_modules
 from labos.services.truth import bench_name
-from tests.support.simulation.faults import FaultRates
-from tests.support.simulation.loop import Killed, Process
-from tests.support.simulation.person import look
-from tests.support.simulation.processes import Conditions, Processes
-from tests.support.simulation.stand import Job, Meddle, Stand
+from labos.testing.faults import FaultRates
+from labos.testing.loop import Killed, Process
+from labos.testing.person import look
+from labos.testing.processes import Conditions, Processes
+from labos.testing.stand import Job, Meddle, Stand
 
 LOOK_S = 10.0
 """How often users and persons look (virtual seconds)."""

@@ -23,11 +23,11 @@ from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler
 from labos.services.truth import list_differences
 from labos.store import write_segment
-from tests.support.simulation.faults import FaultRates
-from tests.support.simulation.loop import Stalled
-from tests.support.simulation.people import LOOK_S, People
-from tests.support.simulation.processes import Conditions
-from tests.support.simulation.stand import Job, Meddle, Stand, make_cancellers
+from labos.testing.faults import FaultRates
+from labos.testing.loop import Stalled
+from labos.testing.people import LOOK_S, People
+from labos.testing.processes import Conditions
+from labos.testing.stand import Job, Meddle, Stand, make_cancellers
 
 __all__ = ["LOOK_S", "Job", "Meddle", "SimulatedLab", "Stand", "make_bare_scheduler", "make_cancellers"]
 

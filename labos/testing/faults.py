@@ -11,7 +11,7 @@ from collections.abc import Callable
 import msgspec
 
 from labos.node.world import MISHAPS
-from tests.support.simulation.loop import PROCESS, Killed, Process
+from labos.testing.loop import PROCESS, Killed, Process
 
 CRASH_POINTS = (
     "kernel.before_commit",

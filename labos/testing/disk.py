@@ -13,8 +13,8 @@ from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import Fenced, LogDamaged, Refused, StoreError, StoreUnavailable
 from labos.ports import EventStore, Head, LogQuery
-from tests.support.simulation.faults import Faults
-from tests.support.simulation.loop import Process, context_of
+from labos.testing.faults import Faults
+from labos.testing.loop import Process, context_of
 
 T = TypeVar("T")
 
