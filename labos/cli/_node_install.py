@@ -65,7 +65,6 @@ def install(
     scp labos-node-rpl-sealer.tar.gz sealer-pc:
     ssh sealer-pc 'tar xzf labos-node-rpl-sealer.tar.gz && sudo sh labos-node-rpl-sealer/install.sh'
     """
-    from labos.private import create_file
     from labos.services.node_package import NodePackage, pack_node
 
     workcell, slash, name = module.partition("/")

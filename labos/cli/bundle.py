@@ -17,7 +17,6 @@ from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
-from labos.settings import Settings
 from labos.store import open_blobs
 
 

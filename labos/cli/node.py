@@ -239,16 +239,16 @@ async def _correct(
     clock = SystemClock()
     journal = await Journal.open(FileJournalFile(path), Uuid7Ids())
     try:
-        was = JournalFacts(journal.epoch, journal.pruned)
+        was = JournalFacts(journal.memory.epoch, journal.memory.pruned)
         journal.correct(
-            epoch=journal.epoch if epoch is None else epoch,
-            position=journal.pruned if position is None else position,
+            epoch=journal.memory.epoch if epoch is None else epoch,
+            position=journal.memory.pruned if position is None else position,
             by=by,
             at_ns=clock.now_ns(),
             why=why,
         )
         await journal.sync()
-        return was, JournalFacts(journal.epoch, journal.pruned)
+        return was, JournalFacts(journal.memory.epoch, journal.memory.pruned)
     finally:
         await journal.close()
 

@@ -13,7 +13,7 @@ from labos.core.ids import ActionId, ModuleName
 from labos.core.lab import KernelStarted
 from labos.core.structs import make_from
 from labos.errors import JournalDamaged, Refused
-from labos.node.journal import Journal, knows_more
+from labos.node.journal import Memory, knows_more, read_journal
 from labos.node.protocol import Unacknowledged
 from labos.ports import LogQuery
 from labos.services.log import Log, decode_event
@@ -48,7 +48,7 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
         )
 
 
-def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
+def list_surplus(log: Log, journals: dict[str, Memory]) -> list[Surplus]:
     """The entries of journals that the log does not have. The journals must have been read before the log, as
     a request is in the log before its node receives it."""
     head = log.head()
@@ -88,14 +88,14 @@ def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundActi
     return found
 
 
-def _read_sound(folder: Path) -> Iterator[tuple[str, Journal]]:
+def _read_sound(folder: Path) -> Iterator[tuple[str, Memory]]:
     """The journals in a folder that are not damaged, by ``workcell.module``."""
     for path in sorted(folder.glob("*.journal")):
         with contextlib.suppress(JournalDamaged):
-            yield path.stem, Journal.read(path.read_bytes())
+            yield path.stem, read_journal(path.read_bytes())
 
 
-def _list_unlogged(log: Log, journal: Journal, end: int) -> list[Unacknowledged]:
+def _list_unlogged(log: Log, journal: Memory, end: int) -> list[Unacknowledged]:
     """The attempts in a journal whose requests are not in the log."""
     return [each for each in journal.list_unacknowledged() if not _is_requested(log, each, end)]
 

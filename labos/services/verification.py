@@ -22,7 +22,7 @@ from labos.core.plans import PlanRecorded
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, encode_picture, fold_fingerprint
 from labos.errors import JournalDamaged, LabosError, LogDamaged, NotFound
-from labos.node.journal import Journal
+from labos.node.journal import Memory, read_journal
 from labos.ports import BlobReader, Log, StoredSnapshot
 
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
@@ -145,14 +145,14 @@ def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     return sorted(stored - named.keys() - mentioned)
 
 
-def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
+def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Memory]]:
     """Whether the nodes' journals can be read, with their checksums; also returns the journals that can."""
-    found: dict[str, Journal] = {}
+    found: dict[str, Memory] = {}
     faults = []
     files = sorted(folder.glob("*.journal"))
     for path in files:
         try:
-            found[path.stem] = Journal.read(path.read_bytes())
+            found[path.stem] = read_journal(path.read_bytes())
         except (JournalDamaged, OSError) as error:
             why = error.message if isinstance(error, LabosError) else str(error)
             faults.append(f"The journal {path} is damaged: {why}")
