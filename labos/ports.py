@@ -6,7 +6,7 @@ Each port has a real implementation and one for the seeded simulation; both pass
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import msgspec
 
@@ -41,6 +41,31 @@ class LogQuery(msgspec.Struct, frozen=True):
     last: int | None = None
 
 
+class StoredSnapshot(msgspec.Struct, frozen=True):
+    """The row of the snapshot. ``fault`` says why it is not ``genuine``; ``tampered``: it has a seal, but not
+    a correct one. ``on_log`` is the hash of the log at the snapshot's position; None if the log is
+    shorter."""
+
+    position: int
+    hash: bytes
+    fingerprint: str
+    data: bytes
+    genuine: bool
+    tampered: bool
+    fault: str
+    on_log: bytes | None
+
+
+class StoredWords(msgspec.Struct, frozen=True):
+    """Words beside the log. ``position`` is the first event that refers to them, and ``erased_at`` the event
+    that erased them (0: none). If that is after the end of the log, they were erased in a log of which this
+    one is an older copy."""
+
+    words: Kept
+    position: int
+    erased_at: int
+
+
 class EventLine(msgspec.Struct, frozen=True):
     """A record of the log, as HTTP sends it and clients read it. ``time`` is ``recorded_at`` (UTC
     nanoseconds) for people; ``version`` counts the events of its ``stream``; ``correlation`` is the run or
@@ -62,11 +87,40 @@ class EventLine(msgspec.Struct, frozen=True):
     hash: str
 
 
-class EventStore(Protocol):
-    """The log. Calls block; the kernel makes them from its writer thread only."""
+Row = tuple[Any, ...]
+
+
+class Log(Protocol):
+    """The log, for reading."""
 
     def head(self) -> Head:
         """The end of the log. Raises StoreUnavailable."""
+
+    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
+        """Records in order, from ``after + 1``."""
+
+    def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
+        """(position, type, schema, recorded_at, payload) of each record."""
+
+    def select(self, query: LogQuery) -> Iterator[Record]:
+        """Records that a query selects, in order."""
+
+    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
+        """The words beside the log for references, also erased ones."""
+
+    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
+        """(position, hash, data) of the newest snapshot of this fold, if its hash is still the
+        log's hash at that position."""
+
+
+class EventStore(Log, Protocol):
+    """The log. Calls block; the kernel makes them from its writer thread only."""
+
+    def replay(
+        self, after: int = 0, upto: int | None = None, *, before: bytes = b"", end: Head | None = None
+    ) -> Iterator[Row]:
+        """Each record is checked: ``before`` is the hash that the log must have at ``after``, and ``end`` the
+        head with which it must end. Raises LogDamaged."""
 
     def claim(self, lab: LabId, owner: str, lease_s: float) -> Head:
         """Become the lab's one kernel: raise the epoch and take the lease. ``lab`` is the id to give to an
@@ -86,25 +140,12 @@ class EventStore(Protocol):
         not known or nothing was written.
         """
 
-    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
-        """Records in order, from ``after + 1``."""
-
-    def select(self, query: LogQuery) -> Iterator[Record]:
-        """Records that a query selects, in order."""
-
-    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
-        """The words beside the log for references, also erased ones."""
-
     def scrub(self) -> str:
         """Remove what remains of erased words from the database's files. Returns why something may still
         remain, empty if nothing does."""
 
     def save_snapshot(self, position: int, hash_: bytes, fingerprint: str, data: bytes) -> None:
         """Store a disposable picture of the state; it replaces older ones."""
-
-    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None:
-        """(position, hash, data) of the newest snapshot of this fold, if its hash is still the
-        log's hash at that position."""
 
     def close(self) -> None: ...
 

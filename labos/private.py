@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import stat
 import threading
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,10 +41,17 @@ def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
 
 def replace_file(path: Path, data: bytes) -> None:
     """Write a private file, completely or not at all; it is synced on return. Raises OSError."""
+    with replacing(path) as file:
+        file.write(data)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """A private file to write in the block, for data that should not be in memory as a whole."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:
         with create_file(beside) as file:
-            file.write(data)
+            yield file
             file.flush()
             os.fsync(file.fileno())
         os.replace(beside, path)

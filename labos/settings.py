@@ -110,12 +110,10 @@ class Settings(msgspec.Struct, frozen=True):
         value = self.on_database_loss or os.environ.get(ON_DATABASE_LOSS) or ""
         if value in ("stop", "wait"):
             return 0.0 if value == "stop" else math.inf
-        try:
+        with contextlib.suppress(ValueError):
             seconds = float(value or PATIENCE_S)
-            if seconds >= 0 and math.isfinite(seconds):
+            if 0 <= seconds < math.inf:
                 return seconds
-        except ValueError:
-            pass
         raise BadInput(
             f"{value!r} says nothing about a database that is gone.",
             remedy=f"Say stop, wait, or a number of seconds ({ON_DATABASE_LOSS}, --on-database-loss).",
@@ -130,12 +128,10 @@ class Settings(msgspec.Struct, frozen=True):
     def silence_s(self) -> float:
         """How long a database may give no answer before it counts as lost. Raises BadInput."""
         value = self.database_silence or os.environ.get(DATABASE_SILENCE) or SILENCE_S
-        try:
+        with contextlib.suppress(ValueError):
             seconds = float(value)
             if seconds >= 1:
                 return seconds
-        except ValueError:
-            pass
         raise BadInput(
             f"{value!r} does not say how long a database may be silent.",
             remedy=f"Say a number of seconds, 1 at the least ({DATABASE_SILENCE}, --database-silence).",
@@ -149,12 +145,10 @@ class Settings(msgspec.Struct, frozen=True):
         if value == "never":
             return 0, 0.0
         times, _, seconds = value.partition("/")
-        try:
+        with contextlib.suppress(ValueError):
             found = int(times), float(seconds)
             if 1 <= found[0] <= FAILURES_KNOWN and 0 < found[1] < math.inf:
                 return found
-        except ValueError:
-            pass
         raise BadInput(
             f"{value!r} does not say how often a module may fail.",
             remedy=f"Say never, or 5/600 for five times in 600 s ({QUARANTINE}, --quarantine); "

@@ -9,6 +9,7 @@ from sqlalchemy import Connection
 
 from labos.store._migrate import migration_connection
 from labos.store._tables import VERSION_TABLE, metadata
+from labos.store._url import parse_url
 
 
 def run(connection: Connection) -> None:
@@ -28,5 +29,5 @@ if given is not None:
     run(given)
 else:
     url = context.config.get_main_option("sqlalchemy.url") or os.environ.get("LABOS_DATABASE_URL", "")
-    with migration_connection(url) as connection:
+    with migration_connection(parse_url(url)) as connection:
         run(connection)

@@ -73,16 +73,8 @@ class Arm(Simulated):
         """Put the lid from a nest onto the plate at a place."""
         await self.transfer(nest, self._find_lid(plate_at, "lid"), regrip)
 
-    def find_held_plate(self) -> str:
-        """The plate in the hand, or empty."""
-        return self.top(f"hand:{self.name}")
-
     def observe(self) -> dict[str, Any]:
         return {"labware": {"gripper": bool(self.find_held_plate())}}
-
-    def is_waste(self, place: str) -> bool:
-        chutes = {self.place(name) for name in self.config.get("waste", ())}
-        return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
 
     def draw_mishap(self) -> str:
         """Draw what goes wrong unnoticed in the next motion: what the bench has prepared, or one of the
@@ -105,11 +97,7 @@ class Arm(Simulated):
             self.world.drop(self.name)
         if slip:
             return  # it opens its fingers, or believes so
-        place = self.place(target)
-        if self.is_waste(place):
-            self.world.discard(self.name, place)
-        else:
-            self.world.release(self.name, place, how)
+        self.open_hand(self.place(target), how)
 
     def _find_lid(self, place: str, verb: str) -> str:
         here = self.place(place)

@@ -35,9 +35,6 @@ class Deck(Simulated):
         if not slots:
             self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
         for slot in slots:
-            plate = self.top(slot)
-            if self.is_sealed(plate):
-                self.world.crash(self.name, slot, "drives its tips into a seal")
-            if self.is_lidded(plate):
-                self.world.crash(self.name, slot, "drives its tips into a lid")
+            self.crash_if_sealed(slot, "drives its tips into a seal")
+            self.crash_if_lidded(slot, "drives its tips into a lid")
         return slots

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, ClassVar, Protocol
 
@@ -44,6 +44,13 @@ class Joints(msgspec.Struct, frozen=True):
     z: float
     p: float
     y: float
+
+    @classmethod
+    def of(cls, axes: Mapping[str, Any]) -> Joints:
+        """By the letters of the axes. Raises ValueError if one is missing."""
+        if len(axes) != len(cls.__struct_fields__):
+            raise ValueError(f"{', '.join(axes)} are not all axes")
+        return cls(**{axis.lower(): float(value) for axis, value in axes.items()})
 
     def replace(self, **axes: float) -> Joints:
         return msgspec.structs.replace(self, **axes)
@@ -103,7 +110,6 @@ class HudsonDriver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
-        self._setup = setup
         configured = {name: float(config[name]) for name in Sizes.__struct_fields__ if name in config}
         self._sizes = msgspec.structs.replace(self.sizes, **configured)
         self._speed = min(float(config.get("speed_percent", self.speed_percent)), 100.0)
@@ -121,7 +127,7 @@ class HudsonDriver(Wired):
         )
 
     def wire(self, address: str) -> Wire:
-        return make_serial_wire(self._of, address, baudrate=BAUDRATE)
+        return make_serial_wire(self._setup, address, baudrate=BAUDRATE)
 
     # -- plates ------------------------------------------------------------------------------
 
@@ -343,24 +349,21 @@ class HudsonDriver(Wired):
         full = place_of(self._setup, place)
         taught = poses.get(full)
         if taught is not None and len(taught) != 4:
-            raise DeviceError(
-                f"{self.name}: the place {place} was taught with {len(taught)} axes, not four.",
-                effects="none",
-                remedy="Teach it again: `locations:` of the workcell file.",
+            raise self.make_refusal(
+                f"the place {place} was taught with {len(taught)} axes, not four",
+                "Teach it again: `locations:` of the workcell file.",
             )
         if taught and any(taught):
-            axes = dict(zip(self.dialect.order, map(float, taught), strict=True))
-            pose = Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
+            pose = Joints.of(dict(zip(self.dialect.order, taught, strict=True)))
         else:
             pose = self._read_point(place, full.removeprefix(f"{self.name}.").replace(".", "_"))
         pose = pose.replace(z=pose.z + raised)
         for axis, value in zip("RZPY", pose.as_tuple(), strict=True):
             low, high = self._limits[axis]
             if not low <= value <= high:
-                raise DeviceError(
-                    f"{self.name}: {place} is out of reach: {axis} at {value:g}, limits {low:g} to {high:g}.",
-                    effects="none",
-                    remedy="Teach the place again.",
+                raise self.make_refusal(
+                    f"{place} is out of reach: {axis} at {value:g}, limits {low:g} to {high:g}",
+                    "Teach the place again.",
                 )
         return pose
 
@@ -368,10 +371,9 @@ class HudsonDriver(Wired):
         try:
             return self.dialect.read(self._ask(f"GETPOINT {name}", self._is_position))
         except (_Refused, ValueError) as error:
-            raise DeviceError(
-                f"{self.name}: the place {place} was not taught, and the device has no point {name}.",
-                effects="none",
-                remedy="Teach it: `locations:` of the workcell file.",
+            raise self.make_refusal(
+                f"the place {place} was not taught, and the device has no point {name}",
+                "Teach it: `locations:` of the workcell file.",
             ) from error
 
     def _is_position(self, text: str) -> bool:
@@ -433,11 +435,8 @@ class HudsonDriver(Wired):
     def _recognise(self) -> str:
         text = self._ask("GETPOS", lambda text: bool(re.search(r"Z:|-?\d+,", text)))
         who = "a SciClops" if "Z:" in text else "a PlateCrane"
-        if who == self.dialect.who:
-            try:
-                self.dialect.read(text)
-            except ValueError:
-                return f"what answers {text!r}"
+        if who == self.dialect.who and not self._is_position(text):
+            return f"what answers {text!r}"
         return who
 
 
@@ -471,10 +470,7 @@ class SciclopsDialect:
         return f"LOADPOINT {name}, Z:{z}, P:{p}, Y:{y}, R:{r}"
 
     def read(self, text: str) -> Joints:
-        axes = dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text))
-        if len(axes) != 4:
-            raise ValueError(text)
-        return Joints(float(axes["R"]), float(axes["Z"]), float(axes["P"]), float(axes["Y"]))
+        return Joints.of(dict(re.findall(r"([RZPY]):\s*(-?\d+(?:\.\d+)?)", text)))
 
     def speed(self, percent: float) -> str:
         return f"SETSPEED {percent:.0f}"

@@ -14,14 +14,14 @@ from labos.link import FarEnd
 from labos.node import Crash, Setup
 from labos.node.world import lid_of
 from labos_drivers._hudson import END, Dialect, Joints, Sizes
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers._simulation import place_of
 
 UNKNOWN_COMMAND, UNKNOWN_POINT, CRASHED, IN_ERROR = 1, 2, 1400, 14
 HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
 
 
-class HudsonOnWire(OnWire):
+class HudsonOnWire(OnLine):
     """The simulated arm. ``points`` are those that it was taught; ``homed``: it has been homed since it was
     switched on; ``is_slippery``: what it holds falls down on its way."""
 
@@ -39,36 +39,32 @@ class HudsonOnWire(OnWire):
         self.error = 0
         self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
         # What it held when its power went it holds still.
-        self.fingers = "between" if self.top(f"hand:{self.name}") else "open"
+        self.fingers = "between" if self.find_held_plate() else "open"
         self.is_slippery = False
         self.stored = dict(self.points)
         self.is_in_motion = False
         self._percent = 10.0
         self._lines: deque[str] = deque()
-        self._heard = b""
         self.furnish(20, *self.stacks)
         own = {self.place(name): joints for name, joints in self.points.items()}
         taught = {
-            place_of(setup, name): self._parse_pose(pose)
+            place_of(setup, name): Joints.of(dict(zip(self.dialect.order, pose, strict=True)))
             for name, pose in setup.poses.items()
             if len(pose) == 4 and any(pose)
         }
         self._spots = own | taught
         self._stacks = {self.place(name) for name in self.stacks}
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
-            self._lines.append(line.strip().decode("ascii", "replace"))
+    def obey(self, line: str) -> None:
+        self._lines.append(line)
         self._obey_all()
 
     def _obey_all(self) -> None:
         while self._lines and not self.is_in_motion:
             line = self._lines.popleft()
-            self.say(line.encode() + END)
+            self.send(line.encode() + END)
             try:
                 self._obey(line)
             except (ValueError, IndexError):
@@ -159,7 +155,7 @@ class HudsonOnWire(OnWire):
             return target
         floor, unit = self._spots[place].z, self.dialect.unit
         bottom = floor + len(self.world.at(place)) * self.sizes.plate_mm * unit
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             bottom += self.sizes.grip_mm * unit
         elif self.fingers == "open":
             bottom = floor
@@ -167,7 +163,7 @@ class HudsonOnWire(OnWire):
 
     def _close(self) -> None:
         place = self._find_spot()
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             return
         if place and self.world.at(place):
             self.world.grip(self.name, place)
@@ -176,14 +172,11 @@ class HudsonOnWire(OnWire):
             self.fingers = "shut"
 
     def _open(self) -> None:
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
-            if place.rpartition(".")[2].lower() in ("trash", "waste"):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place)
+            self.open_hand(place)
         self.fingers = "open"
 
     def _find_place_under(self, joints: Joints) -> str:
@@ -225,12 +218,8 @@ class HudsonOnWire(OnWire):
         """A position in the form of an answer to ``GETPOS``."""
         raise NotImplementedError
 
-    def _parse_pose(self, pose: list[float]) -> Joints:
-        axes = dict(zip(self.dialect.order, map(float, pose), strict=True))
-        return Joints(axes["R"], axes["Z"], axes["P"], axes["Y"])
-
     def _send_data(self, text: str) -> None:
-        self.say(text.encode() + END)
+        self.send(text.encode() + END)
 
     def _send_result(self, code: int) -> None:
-        self.say(f"{code:04d}".encode() + END)
+        self.send(f"{code:04d}".encode() + END)

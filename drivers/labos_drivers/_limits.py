@@ -9,13 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from difflib import get_close_matches
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
-from labos.errors import DeviceError
+import msgspec
+
 from labos.link import SerialWire
 from labos.link.serial import Parity
 from labos.node import Setup
+from labos_drivers._refusals import make_refusal
 
+PositiveInt = Annotated[int, msgspec.Meta(gt=0)]
 BYTESIZES, STOPBITS = (5, 6, 7, 8), (1, 1.5, 2)
 
 
@@ -26,22 +29,24 @@ def read_deadlines(setup: Setup, known: Collection[str]) -> dict[str, float]:
         return {}
     names = ", ".join(known)
     if not known:
-        raise _make_error(setup, "this driver has no `deadlines:` that could be set.", "Leave them out.")
+        raise make_refusal(setup.name, "this driver has no `deadlines:` that could be set", "Leave them out.")
     if not isinstance(configured, dict):
-        raise _make_error(setup, f"`deadlines:` is {configured!r}.", f"Write seconds by name, of: {names}.")
+        raise make_refusal(
+            setup.name, f"`deadlines:` is {configured!r}", f"Write seconds by name, of: {names}."
+        )
     for name in configured:
         if name not in known:
             close = get_close_matches(str(name), known, 1)
             hint = f"Did you mean {close[0]!r}? " if close else ""
-            raise _make_error(setup, f"`deadlines:` has no {name!r}.", f"{hint}There are: {names}.")
+            raise make_refusal(setup.name, f"`deadlines:` has no {name!r}", f"{hint}There are: {names}.")
     return {name: _read_seconds(setup, name, value) for name, value in configured.items()}
 
 
 def _read_seconds(setup: Setup, name: str, configured: Any) -> float:
     value = _parse_seconds(configured) if isinstance(configured, str) else configured
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise _make_error(
-            setup, f"`deadlines: {name}:` is {configured!r}.", "Write seconds, or a text as `10 min`."
+        raise make_refusal(
+            setup.name, f"`deadlines: {name}:` is {configured!r}", "Write seconds, or a text as `10 min`."
         )
     return float(value)
 
@@ -61,10 +66,7 @@ def _parse_seconds(text: str) -> Any:
 def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: Parity = "N") -> SerialWire:
     """A serial port with the settings of the device as shipped, unless the config has others. Raises
     DeviceError."""
-    config = setup.config
-    found = config.get("baudrate", baudrate)
-    if isinstance(found, bool) or not isinstance(found, int) or found <= 0:
-        raise _make_error(setup, f"`baudrate:` is {found!r}.", f"As shipped: {baudrate}.")
+    found = read_setting(setup, "baudrate", baudrate, PositiveInt, f"As shipped: {baudrate}.")
     chosen = {
         "parity": _read_choice(setup, "parity", get_args(Parity), parity),
         "bytesize": _read_choice(setup, "bytesize", BYTESIZES, 8),
@@ -73,15 +75,20 @@ def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: P
     return SerialWire(port, baudrate=found, **chosen)
 
 
+def read_setting(setup: Setup, key: str, usual: Any, kind: Any, remedy: str = "") -> Any:
+    """A setting of the config, of a type with limits that msgspec knows. Raises DeviceError."""
+    configured = setup.config.get(key, usual)
+    try:
+        return msgspec.convert(configured, kind)
+    except msgspec.ValidationError:
+        raise make_refusal(setup.name, f"`{key}:` is {configured!r}", remedy) from None
+
+
 def _read_choice(setup: Setup, key: str, choices: Collection[Any], usual: Any) -> Any:
     configured = setup.config.get(key, usual)
     if isinstance(configured, bool) or configured not in choices:
         names = ", ".join(map(str, choices))
-        raise _make_error(
-            setup, f"`{key}:` is {configured!r}.", f"Write one of {names}. As shipped: {usual}."
+        raise make_refusal(
+            setup.name, f"`{key}:` is {configured!r}", f"Write one of {names}. As shipped: {usual}."
         )
     return configured
-
-
-def _make_error(setup: Setup, what: str, remedy: str) -> DeviceError:
-    return DeviceError(f"{setup.name}: {what}", effects="none", remedy=remedy)

@@ -8,13 +8,15 @@ the log.
 from __future__ import annotations
 
 import asyncio
+import math
 import random  # noqa: TID251 (seeded by Setup: the same seed gives the same jitter)
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, TypeVar
 
 from labos.node import DeviceError, Node, Setup
 from labos.node.world import lid_of
+from labos_drivers._refusals import Refusing, make_refusal
 
 T = TypeVar("T")
 
@@ -22,7 +24,7 @@ JITTER = 0.1
 """Real durations scatter by this fraction about the nominal one."""
 
 
-class Simulated:
+class Simulated(Refusing):
     """A device on the simulated bench. Raises DeviceError if there is no bench."""
 
     drawers: tuple[str, ...] = ()
@@ -30,10 +32,10 @@ class Simulated:
 
     def __init__(self, setup: Setup) -> None:
         if setup.world is None:
-            raise DeviceError(
-                f"{setup.name}: there is no simulated bench for this device.",
-                effects="none",
-                remedy="Start the node with --simulate; this driver drives no real device yet.",
+            raise make_refusal(
+                setup.name,
+                "there is no simulated bench for this device",
+                "Start the node with --simulate; this driver drives no real device yet.",
             )
         self.name = setup.name
         self.world = setup.world
@@ -59,6 +61,10 @@ class Simulated:
             pause.cancel()
         if self._halted:
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
+
+    def read_clock(self) -> float:
+        """Lab time (s) by this machine's clock; only differences mean something."""
+        return asyncio.get_running_loop().time() * self._setup.pace
 
     def scatter(self, nominal_s: float) -> float:
         """A random duration (s) near the nominal one, as real devices need."""
@@ -101,6 +107,12 @@ class Simulated:
             if self.world.is_shut(place):
                 self.world.gate(self.name, place, shut=False)
 
+    def shut_at_first(self, *places: str) -> None:
+        """So it leaves the factory; since then, it stays as it was moved last."""
+        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
+        if not any(motion.device == self.name for motion in moved):
+            self.shut(*places)
+
     def furnish(self, capacity: int, *places: str) -> None:
         """Places of this device hold so many plates, unless the bench says otherwise."""
         for place in map(self.place, places):
@@ -112,11 +124,32 @@ class Simulated:
         plates = self.world.at(place)
         return plates[-1] if plates else ""
 
+    def find_held_plate(self) -> str:
+        """The plate in the device's hand, or empty."""
+        return self.top(f"hand:{self.name}")
+
+    def is_waste(self, place: str) -> bool:
+        chutes = {self.place(name) for name in self.config.get("waste", ())}
+        return place in chutes or place.rpartition(".")[2].lower() in ("trash", "waste")
+
+    def open_hand(self, place: str, grip: str = "") -> None:
+        """Open the hand at a place; what falls into the waste is gone."""
+        if self.is_waste(place):
+            self.world.discard(self.name, place)
+        else:
+            self.world.release(self.name, place, grip)
+
     def is_sealed(self, plate: str) -> bool:
         return self.world.last(plate, "seal", "peel") == "seal"
 
     def is_lidded(self, plate: str) -> bool:
         return bool(self.world.at(lid_of(plate)))
+
+    def crash_if_sealed(self, place: str, what: str) -> None:
+        """Record a crash if the plate at a place has a seal. Raises Crash."""
+        plate = self.top(place)
+        if plate and self.is_sealed(plate):
+            self.world.crash(self.name, place, what)
 
     def crash_if_lidded(self, place: str, what: str) -> None:
         """Record a crash if the plate at a place has its lid on. Raises Crash."""
@@ -154,6 +187,21 @@ def place_of(setup: Setup, name: str) -> str:
     return bare if "." in bare or ":" in bare else setup.place(bare)
 
 
+class Settling:
+    """A quantity that goes to its goal like a first-order system; ``clock`` tells lab time (s)."""
+
+    def __init__(self, start: float, settles_s: float, clock: Callable[[], float]) -> None:
+        self.goal = self._from = start
+        self._settles_s, self._clock, self._since_s = settles_s, clock, clock()
+
+    def now(self) -> float:
+        passed_s = self._clock() - self._since_s
+        return self.goal + (self._from - self.goal) * math.exp(-passed_s / self._settles_s)
+
+    def aim(self, goal: float) -> None:
+        self._from, self._since_s, self.goal = self.now(), self._clock(), goal
+
+
 class Gated(Simulated):
     """A device behind a lid, hood or carrier, which stays where it is when the power goes."""
 
@@ -174,11 +222,7 @@ class Gated(Simulated):
     def check_closed(self) -> None:
         """Raise DeviceError if the lid is open; nothing has moved then."""
         if not self.is_closed():
-            raise DeviceError(
-                f"{self.name}: the {self.variable} is open.",
-                effects="none",
-                remedy=f"Close the {self.variable} first.",
-            )
+            raise self.make_refusal(f"the {self.variable} is open", f"Close the {self.variable} first.")
 
     def is_closed(self) -> bool:
         return self.world.is_shut(self.place(self.behind[0]))

@@ -45,8 +45,12 @@ class PvaChannels(Channels):
         self._watched.append(self._context.monitor(name, pass_on, notify_disconnect=True))
 
     async def get(self, name: str, timeout_s: float) -> ChannelReading:
+        return self._read_value(name, await self._fetch(name, timeout_s))
+
+    async def _fetch(self, name: str, timeout_s: float) -> Any:
+        """The value now, as it is on the wire. Raises DeviceError (``none``)."""
         try:
-            return self._read_value(name, await asyncio.wait_for(self._context.get(name), timeout_s))
+            return await asyncio.wait_for(self._context.get(name), timeout_s)
         except (TimeoutError, self._Disconnected, self._RemoteError) as error:
             raise DeviceError(
                 f"{name} does not answer ({error or 'no value in time'}).", effects="none"
@@ -70,12 +74,7 @@ class PvaChannels(Channels):
         DeviceError (``none``)."""
         if not isinstance(value, str):
             return value
-        try:
-            current = (await asyncio.wait_for(self._context.get(name), READ_S)).value
-        except (TimeoutError, self._Disconnected, self._RemoteError) as error:
-            raise DeviceError(
-                f"{name} does not answer ({error or 'no value in time'}).", effects="none"
-            ) from error
+        current = (await self._fetch(name, READ_S)).value
         if "index" in _list_fields(current):
             return number_of(name, value, list(current.choices))
         if _is_bytes(current):

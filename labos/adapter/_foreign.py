@@ -212,6 +212,21 @@ class ForeignNode(Node):
         finally:
             sending.cancel()
 
+    async def wait_until(self, ready: Callable[[], Awaitable[bool]], times: int = 1) -> None:
+        """Wait until the foreign node is ``ready``, the given number of times in a row. Raises OutcomeUnknown
+        if it does not answer."""
+        silence, in_a_row = Silence(self.patience_s, self.where), 0
+        while True:
+            try:
+                in_a_row = in_a_row + 1 if await ready() else 0
+                if in_a_row >= times:
+                    return
+                silence.end()
+            except DeviceError as error:
+                silence.go_on(error)
+                in_a_row = 0
+            await asyncio.sleep(self.poll_s)
+
     def place(self, spec: ActionSpec, station: str) -> Any:
         """The foreign node's value for a station: from the workcell file, else its name."""
         ways = self.setup.config.get("representations") or {}

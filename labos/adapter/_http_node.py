@@ -1,8 +1,9 @@
-"""The common part of the adapters for HTTP nodes: one connection, and its address."""
+"""The common parts of the adapters for HTTP nodes: one connection, its address, and the offer of the node."""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Collection
+from typing import Any, ClassVar
 
 from labos.adapter._foreign import ForeignNode
 from labos.adapter._http import HttpClient, find_address, read_authorization
@@ -40,3 +41,42 @@ class HttpNode(ForeignNode):
     async def close(self) -> None:
         if self._http is not None:
             await self._http.close()
+
+
+class DescribedHttpNode(HttpNode):
+    """For nodes that report their status and describe their actions. The description is read at the first
+    connection, and again after a failure."""
+
+    def __init__(self, setup: Setup) -> None:
+        super().__init__(setup)
+        self._is_offer_known = False
+
+    async def read_status(self) -> Any:
+        """The node's status. Raises DeviceError (``none``)."""
+        raise NotImplementedError
+
+    async def read_offer(self) -> tuple[Any, Collection[str]]:
+        """The node's version, and the names of its actions. Raises DeviceError (``none``)."""
+        raise NotImplementedError
+
+    def describe_trouble(self, status: Any) -> str:
+        """The trouble that a status reports, as a sentence; empty if the node can be used."""
+        raise NotImplementedError
+
+    async def trouble(self) -> str:
+        try:
+            status = await self.read_status()
+            if not self._is_offer_known:
+                version, offered = await self.read_offer()
+                self.note_version(version)
+                if absent := self.describe_missing(offered.__contains__):
+                    return absent
+                self._is_offer_known = True
+        except DeviceError as missing:
+            self._is_offer_known = False
+            return str(missing)
+        return self.describe_trouble(status)
+
+    async def learn(self) -> None:
+        if not self._is_offer_known:
+            await self.trouble()

@@ -94,22 +94,22 @@ class BridgeProcess:
                 except (ValueError, AttributeError) as error:
                     _log.warning("ros_line_unreadable", line=line[:200], error=str(error))
                     continue
-                if hear := self._listeners.get(known):
-                    hear(message)
+                if receive := self._listeners.get(known):
+                    receive(message)
         except ValueError as error:  # a line without an end
             _log.error("ros_line_too_long", error=str(error))
         finally:
-            for hear in list(self._listeners.values()):
-                hear(None)
+            for receive in list(self._listeners.values()):
+                receive(None)
 
     def watch(self, topic: str, kind: str, callback: Callable[[dict[str, Any]], None]) -> None:
         """Report every message of a topic."""
 
-        def hear(message: dict[str, Any] | None) -> None:
+        def receive(message: dict[str, Any] | None) -> None:
             if message is not None and "told" in message:
                 callback(message["told"])
 
-        self._say(self._listen(hear), watch=topic, type=kind)
+        self._say(self._listen(receive), watch=topic, type=kind)
 
     async def is_offered(self, service: str, kind: str, limit_s: float = 5.0) -> bool:
         """Whether a node offers a service. Raises DeviceError."""
@@ -131,9 +131,9 @@ class BridgeProcess:
                 raise DeviceError(f"No picture came on {topic}.", effects="none") from error
             return found
 
-    def _listen(self, hear: Callable[[dict[str, Any] | None], None]) -> int:
+    def _listen(self, receive: Callable[[dict[str, Any] | None], None]) -> int:
         self._number += 1
-        self._listeners[self._number] = hear
+        self._listeners[self._number] = receive
         return self._number
 
     def _say(self, number: int, **command: Any) -> None:

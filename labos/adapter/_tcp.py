@@ -38,9 +38,11 @@ class Address:
             opening = asyncio.open_connection(self.host, self.port, limit=LARGEST)
             reader, writer = await asyncio.wait_for(opening, CONNECT_S)
         except (OSError, TimeoutError) as error:
-            why = str(error) or f"no connection within {CONNECT_S:g} s"
-            raise DeviceError(
-                f"{self.host}:{self.port} does not answer ({why}).", effects="none", remedy="Is it running?"
-            ) from error
+            raise self.make_no_answer_error(error) from error
         keep_alive(writer.get_extra_info("socket"), patience_s)
         return reader, writer
+
+    def make_no_answer_error(self, error: Exception) -> DeviceError:
+        """No connection could be made."""
+        why = str(error) or f"no connection within {CONNECT_S:g} s"
+        return DeviceError(f"{self} does not answer ({why}).", effects="none", remedy="Is it running?")

@@ -19,12 +19,11 @@ from typing import Any, TypeVar
 
 from labos.adapter._foreign import Silence, read_file
 from labos.adapter._http import NoResponse, read_json, refuse
-from labos.adapter._http_node import HttpNode
+from labos.adapter._http_node import DescribedHttpNode
 from labos.adapter._types import make_action, make_arg, type_of
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
-from labos.node.node import Setup
 
 T = TypeVar("T")
 
@@ -38,35 +37,23 @@ UNDER_WAY = ("not_started", "running", "paused")
 FORGOTTEN = "the foreign node no longer knows the action: it was restarted, and its history is in memory"
 
 
-class MadsciRestNode(HttpNode):
+class MadsciRestNode(DescribedHttpNode):
     """Config: ``node_url``; ``node_auth`` is a file with the value of the Authorization header."""
 
     addresses = ("node_url", "rest_node_address")
     authorization = "node_auth"
 
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._checked = False
-
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
-        status = await self._ask_status()
+        status = await self.read_status()
         return not (status["busy"] or status.get("running_actions") or status.get("initializing"))
 
-    async def trouble(self) -> str:
-        try:
-            status = await self._ask_status()
-            if not self._checked:
-                info = await self._info()
-                self.note_version(info.get("module_version"))
-                actions = info.get("actions") or {}
-                if absent := self.describe_missing(actions.__contains__):
-                    return absent
-                self._checked = True
-        except DeviceError as missing:
-            self._checked = False
-            return str(missing)
+    async def read_offer(self) -> tuple[Any, dict[str, Any]]:
+        info = await self._info()
+        return info.get("module_version"), info.get("actions") or {}
+
+    def describe_trouble(self, status: dict[str, Any]) -> str:
         if status.get("errored") or status.get("disconnected"):
             why = "; ".join(str(error.get("message")) for error in (status.get("errors") or ())[-1:])
             what = "in error" if status.get("errored") else "not connected to its device"
@@ -76,16 +63,12 @@ class MadsciRestNode(HttpNode):
                 return f"The foreign node is {halted} on its own side. Unlock, resume or reset it there."
         return ""
 
-    async def learn(self) -> None:
-        if not self._checked:
-            await self.trouble()
-
     async def observe(self) -> dict[str, Any]:
         """The content of the node's own state."""
         state = await self.http.ask("/state")
         return state if isinstance(state, dict) else {"state": state}
 
-    async def _ask_status(self) -> dict[str, Any]:
+    async def read_status(self) -> dict[str, Any]:
         """The node's status. Raises DeviceError (``none``), also for an answer that does not show whether the
         node is busy."""
         status = await self._table("/status")
@@ -108,7 +91,7 @@ class MadsciRestNode(HttpNode):
         """The foreign node's own reset; it ends when the node is ready again."""
         await self._command("reset")
         for _ in range(int(self.patience_s / 0.5)):
-            status = await self._ask_status()
+            status = await self.read_status()
             if not status.get("initializing"):
                 break
             await asyncio.sleep(0.5)

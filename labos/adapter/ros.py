@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from labos.adapter._decode import LARGEST_JSON, read_json_text
-from labos.adapter._foreign import LATE_S, SENT, ForeignNode, make_not_started_error
+from labos.adapter._foreign import LATE_S, SENT, ForeignNode, Silence, make_not_started_error
 from labos.adapter._http import NoResponse
 from labos.adapter._placeholders import fill
 from labos.adapter._png import encode_png
@@ -266,24 +266,21 @@ class RosNode(ForeignNode):
     async def _fetch_result(self, spec: ActionSpec, call: Call, known: str) -> Any:
         """Ask for the result of a goal until there is one. Raises DeviceError, OutcomeUnknown."""
         kind, fields = f"{call.type}:GetResultService", {"goal_id": {"uuid": list(bytes.fromhex(known))}}
-        silent_s, loop = 0.0, asyncio.get_running_loop()
+        silence, loop = Silence(self.patience_s, call.action), asyncio.get_running_loop()
         working = loop.time()
         while True:
             try:
                 asking = self.bridge.call(f"{call.action}/_action/get_result", kind, fields, wait_s=WAIT_S)
                 answer = await asyncio.wait_for(asking, WAIT_S + ASK_S)
             except TimeoutError:  # it continues
+                silence.end()
                 working = loop.time() if self._is_busy else working
                 if (waited := loop.time() - working) > self.limit_s(spec):
                     text = f"{call.action} has not sent the result of the goal for {waited:.0f} s"
                     raise OutcomeUnknown(f"{text} without a sign of work") from None
                 continue
             except (DeviceError, NoResponse) as gone:
-                silent_s += WAIT_S
-                if silent_s > self.patience_s:
-                    raise OutcomeUnknown(
-                        f"{call.action} has not answered for {silent_s:.0f} s ({gone})"
-                    ) from gone
+                silence.go_on(gone)
                 await self.trouble()  # which starts a bridge that has ended
                 await asyncio.sleep(self.poll_s)
                 continue

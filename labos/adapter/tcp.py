@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from typing import Any
+from typing import Any, ClassVar
 
 from labos.adapter._decode import TooDeep, read_json_text
 from labos.adapter._foreign import SENT, ForeignNode
@@ -25,11 +25,23 @@ NOT_READY = ("not_ready",)
 
 
 class WeiJsonNode(ForeignNode):
-    """Base of the adapters for nodes that answer a JSON object with another one at the end of the action."""
+    """Base of the adapters for nodes that answer a JSON object with another one at the end of the action.
+    ``hosts`` and ``ports`` are the keys of ``config`` for the node's address."""
+
+    hosts: ClassVar[tuple[str, ...]]
+    ports: ClassVar[tuple[str, ...]]
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
+        self.address = Address(setup.config, self.hosts, self.ports)
         self._exchanging = False
+
+    async def connect(self) -> None:
+        self.address.check()
+
+    @property
+    def where(self) -> str:
+        return str(self.address)
 
     async def knock(self) -> None:
         """Check whether a program listens there. Raises DeviceError (``none``)."""
@@ -80,25 +92,15 @@ class WeiJsonNode(ForeignNode):
 class WeiTcpNode(WeiJsonNode):
     """Config: ``tcp_node_address``, ``tcp_node_port``."""
 
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._address = Address(
-            setup.config, ("tcp_node_address", "tcp_address"), ("tcp_node_port", "tcp_port")
-        )
-
-    async def connect(self) -> None:
-        self._address.check()
-
-    @property
-    def where(self) -> str:
-        return str(self._address)
+    hosts = ("tcp_node_address", "tcp_address")
+    ports = ("tcp_node_port", "tcp_port")
 
     async def knock(self) -> None:
-        _, writer = await self._address.open(self.patience_s)
+        _, writer = await self.address.open(self.patience_s)
         writer.close()
 
     async def exchange(self, message: bytes, limit_s: float) -> dict[str, Any]:
-        reader, writer = await self._address.open(self.patience_s)
+        reader, writer = await self.address.open(self.patience_s)
         try:
             await self.note_handle(SENT)
             async with asyncio.timeout(limit_s):

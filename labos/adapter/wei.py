@@ -18,9 +18,9 @@ from typing import Any
 import httpx
 
 from labos.adapter._decode import read_json_text
-from labos.adapter._foreign import SENT, Silence, read_file
+from labos.adapter._foreign import SENT, read_file
 from labos.adapter._http import LARGEST_ANSWER, NoResponse, read_json, refuse_at_end
-from labos.adapter._http_node import HttpNode
+from labos.adapter._http_node import DescribedHttpNode
 from labos.adapter._types import make_action, make_arg, type_of
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
@@ -36,46 +36,38 @@ HALTED = {"LOCKED", "PAUSED", "CANCELLED"}
 NO_RECORD = "the foreign node has ended or lost it, and WEI keeps no record of the outcome"
 
 
-class WeiRestNode(HttpNode):
+class WeiRestNode(DescribedHttpNode):
     """Config: ``rest_node_address``; ``rest_node_auth`` names a file that holds the value of the
     Authorization header, ``rest_node_auth_env`` a variable that does."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._checked = False
         self._admin: tuple[str, ...] = ()
 
     # -- how it is ---------------------------------------------------------------------------
 
     async def is_idle(self) -> bool:
-        flags, _ = await self._ask_state()
+        flags, _ = await self.read_status()
         return is_at_rest(flags)
 
-    async def trouble(self) -> str:
-        try:
-            flags, error = await self._ask_state()
-            if not self._checked:
-                about = await self._ask_about()
-                self.note_version(about.get("version"))
-                offered = {str(action.get("name")) for action in about.get("actions", [])}
-                if absent := self.describe_missing(lambda name: name in offered):
-                    return absent
-                self._checked = True
-        except DeviceError as missing:
-            self._checked = False
-            return str(missing)
+    async def read_status(self) -> tuple[set[str], str]:
+        """The flags that are set, and the error."""
+        return read_state(await self.http.ask("/state"))
+
+    async def read_offer(self) -> tuple[Any, set[str]]:
+        about = await self._ask_about()
+        return about.get("version"), {str(action.get("name")) for action in about.get("actions", [])}
+
+    def describe_trouble(self, status: tuple[set[str], str]) -> str:
+        flags, error = status
         if "ERROR" in flags:
             return f"The foreign node is in error: {error or 'it does not say why'}. Reset the module."
         if halted := flags & HALTED:
             return f"The foreign node is {min(halted).lower()} on its own side. Unlock or reset it there."
         if not is_working(flags) and not is_at_rest(flags):
-            status = ", ".join(sorted(flags)) or "nothing of its status"
-            return f"The foreign node says {status}, which is not known to mean that it is idle."
+            words = ", ".join(sorted(flags)) or "nothing of its status"
+            return f"The foreign node says {words}, which is not known to mean that it is idle."
         return ""
-
-    async def learn(self) -> None:
-        if not self._checked:
-            await self.trouble()
 
     async def observe(self) -> dict[str, Any]:
         """The content of the node's state besides its status."""
@@ -87,10 +79,6 @@ class WeiRestNode(HttpNode):
         answer = await self.http.ask("/resources")
         levels = answer.get("resources") if isinstance(answer, dict) else None
         return find_levels(levels if isinstance(levels, dict) else {})
-
-    async def _ask_state(self) -> tuple[set[str], str]:
-        """The flags that are set, and the error."""
-        return read_state(await self.http.ask("/state"))
 
     async def _ask_about(self) -> dict[str, Any]:
         about = await self.http.ask("/about")
@@ -104,13 +92,13 @@ class WeiRestNode(HttpNode):
     async def reset(self) -> None:
         """The foreign node's own reset; it ends when the node has started again without an error."""
         await self._command("reset")
-        flags, error = await self._ask_state()
+        flags, error = await self.read_status()
         until = asyncio.get_running_loop().time() + self.patience_s
         while flags & STARTING:
             if asyncio.get_running_loop().time() > until:
                 raise DeviceError(f"{self.where} has said for {self.patience_s:g} s that it starts.")
             await asyncio.sleep(min(self.poll_s, 0.5))
-            flags, error = await self._ask_state()
+            flags, error = await self.read_status()
         if "ERROR" in flags:
             raise DeviceError(f"The foreign node is in error after its reset: {error}", effects="none")
 
@@ -149,35 +137,26 @@ class WeiRestNode(HttpNode):
         return await self._make_result(name, answer)
 
     async def find_out(self, spec: ActionSpec, name: str, handle: str) -> Any:
-        await self._wait_until_not_busy()
+        await self.wait_until(self._is_not_working)
         raise OutcomeUnknown(f"the adapter was restarted meanwhile; {NO_RECORD}")
 
     async def _answer(self, spec: ActionSpec, sending: asyncio.Future[httpx.Response]) -> httpx.Response:
         """The answer to a start. Raises OutcomeUnknown."""
 
         async def at_work() -> bool:
-            return is_working((await self._ask_state())[0])
+            return not await self._is_not_working()
 
         try:
             return await self.answer_to(
                 sending, at_work, silent_s=self.patience_s, mute_s=self.limit_s(spec), ended=NO_RECORD
             )
         except NoResponse as lost:
-            await self._wait_until_not_busy()
+            await self.wait_until(self._is_not_working)
             raise OutcomeUnknown(f"its answer was lost ({lost}); {NO_RECORD}") from lost
 
-    async def _wait_until_not_busy(self) -> None:
-        """Wait while the node reports that it is busy. Raises OutcomeUnknown if it does not answer."""
-        silence = Silence(self.patience_s, self.where)
-        while True:
-            try:
-                flags, _ = await self._ask_state()
-                if not is_working(flags):
-                    return
-                silence.end()
-            except DeviceError as error:
-                silence.go_on(error)
-            await asyncio.sleep(self.poll_s)
+    async def _is_not_working(self) -> bool:
+        flags, _ = await self.read_status()
+        return not is_working(flags)
 
     async def _make_result(self, name: str, answer: httpx.Response) -> Any:
         refuse_at_end(answer, refused=(422,))  # FastAPI's own status for wrong arguments

@@ -15,7 +15,7 @@ from labos.adapter._channels import report_missing_package
 from labos.adapter._decode import read_json_text
 from labos.adapter._foreign import SENT
 from labos.adapter._keepalive import choose_timings
-from labos.adapter._tcp import CONNECT_S, LARGEST, Address
+from labos.adapter._tcp import CONNECT_S, LARGEST
 from labos.adapter.tcp import WeiJsonNode
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
@@ -24,13 +24,15 @@ from labos.node.node import Setup
 class WeiZmqNode(WeiJsonNode):
     """Config: ``zmq_node_address``, ``zmq_node_port``."""
 
+    hosts = ("zmq_node_address",)
+    ports = ("zmq_node_port",)
+
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._address = Address(setup.config, ("zmq_node_address",), ("zmq_node_port",))
         self._context: Any = None
 
     async def connect(self) -> None:
-        self._address.check()
+        await super().connect()
         try:
             import zmq
             import zmq.asyncio
@@ -45,10 +47,6 @@ class WeiZmqNode(WeiJsonNode):
         context, self._context = self._context, None
         if context is not None:
             context.destroy(linger=0)
-
-    @property
-    def where(self) -> str:
-        return str(self._address)
 
     async def knock(self) -> None:
         async with self._connect():
@@ -95,18 +93,14 @@ class WeiZmqNode(WeiJsonNode):
         monitor = socket.get_monitor_socket(
             zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_CONNECT_RETRIED | zmq.EVENT_DISCONNECTED
         )
-        place = f"{self._address.host}:{self._address.port}"
         try:
             try:
-                socket.connect(f"tcp://{place}")
+                socket.connect(f"tcp://{self.address}")
                 seeing = self._see(monitor, zmq.EVENT_HANDSHAKE_SUCCEEDED, zmq.EVENT_CONNECT_RETRIED)
                 if await asyncio.wait_for(seeing, CONNECT_S) != zmq.EVENT_HANDSHAKE_SUCCEEDED:
                     raise ConnectionRefusedError("no process listens")
             except (OSError, TimeoutError, zmq.ZMQError) as error:
-                why = str(error) or f"no connection within {CONNECT_S:g} s"
-                raise DeviceError(
-                    f"{place} does not answer ({why}).", effects="none", remedy="Is it running?"
-                ) from error
+                raise self.address.make_no_answer_error(error) from error
             yield socket, monitor
         finally:
             socket.disable_monitor()

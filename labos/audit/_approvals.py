@@ -13,18 +13,16 @@ from labos.core.envelope import Envelope
 
 def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
     _answer(rows, event.subject, "changed", "", "", head, at)
-    rows.put(WAITING, {"subject": event.subject, "position": head.position})
+    rows.put(WAITING, subject=event.subject, position=head.position)
     rows.put(
         APPROVALS,
-        {
-            "requested_position": head.position,
-            "user_id": event.user,
-            "asked_by": event.by,
-            "why": [why.text for why in event.why],
-            "changed": list(event.changed),
-            "requested_at_s": at,
-        },
         event,
+        requested_position=head.position,
+        user_id=event.user,
+        asked_by=event.by,
+        why=[why.text for why in event.why],
+        changed=list(event.changed),
+        requested_at_s=at,
     )
     if event.kind == "campaign":
         rows.update(CAMPAIGNS, event.subject, status="proposed")
@@ -36,12 +34,12 @@ def on_given(rows: RowChanges, event: p.ApprovalGiven, head: Envelope, at: float
     if row is not None:
         row["changes"] = {name: value for name, value in changes.items() if value} or None
     table = {"run": RUNS, "experiment": EXPERIMENTS}.get(event.kind)
-    changed = rows.change(table, event.subject) if table is not None else None
-    if changed is not None and event.priority is not None:
-        changed["priority"] = event.priority
-    campaign = rows.update(CAMPAIGNS, event.subject, status="open") if event.kind == "campaign" else None
-    if campaign is not None and event.terms is not None:
-        set_terms(campaign, event.terms)
+    if table is not None and event.priority is not None:
+        rows.update(table, event.subject, priority=event.priority)
+    if event.kind == "campaign":
+        campaign = rows.update(CAMPAIGNS, event.subject, status="open")
+        if event.terms is not None:
+            set_terms(campaign, event.terms)
 
 
 def on_refused(rows: RowChanges, event: p.ApprovalRefused, head: Envelope, at: float) -> None:
@@ -53,22 +51,20 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
     run = rows.get(RUNS, event.run)
     rows.put(
         APPROVALS,
-        {
-            "requested_position": head.position,
-            "subject": event.run,
-            "kind": "second person",
-            "name": run["workflow"] if run is not None else "",
-            "user_id": run["user_id"] if run is not None else "",
-            "digest": run["plan"] if run is not None else "",
-            "why": ["it has dangerous steps"],
-            "parts": {},
-            "changed": [],
-            "requested_at_s": at,
-            "answer": "approved",
-            "answered_by": event.by,
-            "answered_at_s": at,
-            "answered_position": head.position,
-        },
+        requested_position=head.position,
+        subject=event.run,
+        kind="second person",
+        name=run["workflow"],
+        user_id=run["user_id"],
+        digest=run["plan"],
+        why=["it has dangerous steps"],
+        parts={},
+        changed=[],
+        requested_at_s=at,
+        answer="approved",
+        answered_by=event.by,
+        answered_at_s=at,
+        answered_position=head.position,
     )
 
 
@@ -76,9 +72,8 @@ def _answer(
     rows: RowChanges, subject: str, answer: str, by: str, comment: str, head: Envelope, at: float
 ) -> Row | None:
     """The row of a waiting submission, with its answer; None if none waits."""
-    waiting = rows.get(WAITING, subject)
-    row = rows.change(APPROVALS, waiting["position"]) if waiting is not None else None
-    if row is None or row["answer"]:
+    row = rows.change(APPROVALS, rows.get(WAITING, subject)["position"])
+    if not row["subject"] or row["answer"]:
         return None
     row["answer"], row["answered_by"], row["comment"] = answer, by, comment
     row["answered_at_s"], row["answered_position"] = at, head.position

@@ -15,14 +15,12 @@ from labos.core.ids import module_of
 def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
     row = rows.put(
         LABWARE,
-        {
-            "station": "",
-            "variables": {"lot": event.lot} if event.lot else {},
-            "samples": {},
-            "placed_at_s": at,
-            "placed_position": head.position,
-        },
         event,
+        station="",
+        variables={"lot": event.lot} if event.lot else {},
+        samples={},
+        placed_at_s=at,
+        placed_position=head.position,
     )
     _settle(rows, row, event.station, event.on)
     _note(rows, event, head, at, "placed", event.stack, event.station, event.on)
@@ -40,59 +38,48 @@ def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: floa
 
 
 def on_moved(rows: RowChanges, event: b.LabwareMoved, head: Envelope, at: float) -> None:
-    row = rows.change(LABWARE, event.labware)
-    if row is not None:
-        _settle(rows, row, event.target, event.on)
+    _settle(rows, rows.change(LABWARE, event.labware), event.target, event.on)
     _note(rows, event, head, at, "moved", event.source, event.target, event.on)
 
 
 def on_observed(rows: RowChanges, event: b.LabwareObserved, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
-    source = on = ""
-    if row is not None:
-        source = row["station"]
-        under = rows.get(LABWARE, row["lies_on"]) if row["lies_on"] else None
-        on = row["lies_on"] if under is not None and under["station"] == event.station else ""
-        _settle(rows, row, event.station, on)
+    source = row["station"]
+    on = row["lies_on"] if rows.get(LABWARE, row["lies_on"])["station"] == event.station else ""
+    _settle(rows, row, event.station, on)
     _note(rows, event, head, at, "observed", source, event.station, on, why=f"observed by {event.by}")
 
 
 def on_uncertain(rows: RowChanges, event: b.LabwareUncertain, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
-    source = row["station"] if row is not None else ""
-    if row is not None:
-        row["station"], row["maybe"] = "", list(event.places)
-        if event.on:
-            _lay_on(rows, row, event.on)
+    source = row["station"]
+    row["station"], row["maybe"] = "", list(event.places)
+    if event.on:
+        _lay_on(rows, row, event.on)
     _note(rows, event, head, at, "uncertain", source, "", event.on, event.places, event.why)
 
 
 def on_removed(rows: RowChanges, event: b.LabwareRemoved, head: Envelope, at: float) -> None:
     """A plate leaves together with its lid; a lid that may be elsewhere stays uncertain."""
     row = rows.change(LABWARE, event.labware)
-    source = row["station"] if row is not None else ""
-    if row is not None:
-        lid = rows.change(LABWARE, row["lid"]) if row["lid"] else None
-        if lid is not None and lid["maybe"] is not None:
-            _take_off_plate(rows, lid)
-        elif lid is not None:
-            _leave(rows, lid, event.why, head, at)
-        _leave(rows, row, event.why, head, at)
+    source = row["station"]
+    lid = rows.change(LABWARE, row["lid"])
+    if lid["maybe"] is not None:
+        _take_off_plate(rows, lid)
+    else:
+        _leave(rows, lid, event.why, head, at)
+    _leave(rows, row, event.why, head, at)
     _note(rows, event, head, at, "removed", source or event.where, "", why=event.why)
 
 
 def on_changed(rows: RowChanges, event: b.LabwareChanged, head: Envelope, at: float) -> None:
     row = rows.change(LABWARE, event.labware)
-    if row is not None:
-        row["variables"] = {**row["variables"], event.variable: event.value}
+    row["variables"] = {**row["variables"], event.variable: event.value}
 
 
 def on_handed_over(rows: RowChanges, event: b.LabwareHandedOver, head: Envelope, at: float) -> None:
-    row = rows.change(LABWARE, event.labware)
-    if row is not None:
-        row["owner"] = event.owner
-        if row["lid"]:
-            rows.update(LABWARE, row["lid"], owner=event.owner)
+    row = rows.update(LABWARE, event.labware, owner=event.owner)
+    rows.update(LABWARE, row["lid"], owner=event.owner)
 
 
 def on_barcode_read(rows: RowChanges, event: b.BarcodeRead, head: Envelope, at: float) -> None:
@@ -122,8 +109,7 @@ def _lay_on(rows: RowChanges, lid: Row, plate: str) -> None:
 
 
 def _take_off_plate(rows: RowChanges, lid: Row) -> None:
-    if lid["lies_on"]:
-        rows.update(LABWARE, lid["lies_on"], lid="")
+    rows.update(LABWARE, lid["lies_on"], lid="")
     lid["lies_on"] = ""
 
 

@@ -21,12 +21,10 @@ one of its kind, and had not expired."""
 def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at: float) -> None:
     rows.put(
         CALIBRATIONS,
-        {
-            "calibration": f"{event.module}@{head.position}",
-            "position": head.position,
-            "recorded_by": event.by,
-            "at_s": at,
-            "ends_at_s": float(end_of(event.until)) if event.until else None,
-        },
         event,
+        calibration=f"{event.module}@{head.position}",
+        position=head.position,
+        recorded_by=event.by,
+        at_s=at,
+        ends_at_s=float(end_of(event.until)) if event.until else None,
     )

@@ -1,191 +1,110 @@
-"""The causes of a thing: user, action, time, spec, driver version, arguments and lots. Each function yields
-the links from a thing to its causes among the first ``upto`` events, each with the position up to which the
-cause itself counts: later changes of a plate did not influence an earlier reading.
+"""The causes of a thing: user, action, time, spec, driver version, arguments and lots, among the events up to
+a position. The position up to which a cause itself counts is often an earlier one: later changes of a plate
+did not influence an earlier reading.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
-import msgspec
-
 from labos.audit._calibrations import IN_FORCE
-from labos.audit.graph import Entity, EntityKind, ProvenanceLink, well_of
+from labos.audit._links import Found, Links, query
+from labos.audit.graph import Entity, well_of
 from labos.audit.liquids import find_source_well
 from labos.audit.query import ReadConnection
 
-Found = Iterator[tuple[ProvenanceLink, int]]
-Rule = Callable[[ReadConnection, Entity, int], Found]
+_RELIED_ON = (
+    "SELECT c.calibration, min(a.requested_position), c.position FROM actions a JOIN calibrations c "
+    f"ON {IN_FORCE} WHERE a.{{}} = :name AND a.requested_position <= :upto "
+    "GROUP BY c.calibration, c.position ORDER BY c.position"
+)
+_OF_WELL = "FROM transfers WHERE labware = :labware AND well = :well AND position <= :upto"
 
-_APPROVED = (
-    "SELECT answered_by, answered_position FROM approvals WHERE subject IN (?, ?, ?) "
-    "AND answer = 'approved' AND subject <> '' AND answered_position <= ? ORDER BY answered_position"
+_find_labware_of_action = query(
+    "SELECT labware, requested_position, requested_position - 1 FROM actions WHERE action = :name",
+    is_list=True,
 )
 
 
-_RELIED_ON = {
-    column: "SELECT c.calibration, min(a.requested_position), c.position FROM actions a JOIN calibrations c "
-    f"ON {IN_FORCE} WHERE a.{column} = ? AND a.requested_position <= ? "
-    "GROUP BY c.calibration, c.position ORDER BY c.position"
-    for column in ("action", "run")
-}
+def _find_worked_on(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
+    """The labware of an action, without pieces that got their ids only during it."""
+    for name, position, limit in _find_labware_of_action(asker, entity, since, upto):
+        if asker.fetch("SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?", name, position):
+            yield name, position, limit
 
 
-def find_run_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for user, experiment, campaign, plan, position in asker.fetch(
-        "SELECT user_id, experiment, campaign, plan, submitted_position FROM runs WHERE run = ?", entity.name
-    ):
-        yield ProvenanceLink(entity, "asked for by", Entity("user", user), position), position
-        yield ProvenanceLink(entity, "follows", Entity("workflow", plan), position), position
-        if experiment:
-            yield ProvenanceLink(entity, "part of", Entity("experiment", experiment), position), position
-        for who, at in asker.fetch(_APPROVED, entity.name, campaign, experiment, upto):
-            yield ProvenanceLink(entity, "approved by", Entity("user", who), at), at
-    yield from _find_calibrations(asker, "run", entity, upto)
+def _find_source_wells(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
+    """The wells whose names are those of the liquids in a well."""
+    find_liquids = query(f"SELECT liquid, position, position - 1 {_OF_WELL} AND kind = 'in'")
+    for liquid, position, limit in find_liquids(asker, entity, since, upto):
+        if source := find_source_well(well_of(entity.name)[0], liquid):
+            yield source, position, limit
 
 
-def _find_calibrations(asker: ReadConnection, column: str, entity: Entity, upto: int) -> Found:
-    for name, position, recorded in asker.fetch(_RELIED_ON[column], entity.name, upto):
-        yield ProvenanceLink(entity, "relied on", Entity("calibration", name), position), recorded
-
-
-def find_calibration_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for user, file, position in asker.fetch(
-        "SELECT recorded_by, file, position FROM calibrations WHERE calibration = ?", entity.name
-    ):
-        yield ProvenanceLink(entity, "recorded by", Entity("user", user), position), position
-        if file:
-            yield ProvenanceLink(entity, "is told by", Entity("file", file), position), position
-
-
-def find_experiment_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for user, position in asker.fetch(
-        "SELECT user_id, started_position FROM experiments WHERE experiment = ?", entity.name
-    ):
-        yield ProvenanceLink(entity, "started by", Entity("user", user), position), position
-
-
-def find_action_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for run, module, driver, version, labware, position, ended in asker.fetch(
-        "SELECT run, module, driver, driver_version, labware, requested_position, ended_position "
-        "FROM actions WHERE action = ?",
-        entity.name,
-    ):
-        if run:
-            yield ProvenanceLink(entity, "step of", Entity("run", run), position), position
-        else:
-            actor = asker.fetch("SELECT actor FROM events WHERE position = ?", position)[0][0]
-            yield ProvenanceLink(entity, "asked for by", Entity("user", actor), position), position
-        if driver:
-            name = f"{module} {driver} {version}"
-            yield ProvenanceLink(entity, "carried out by", Entity("driver", name), position), position
-        yield from _find_calibrations(asker, "action", entity, position)
-        for name in msgspec.json.decode(labware or "[]", type=list[str]):
-            if asker.fetch(
-                "SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?", name, position
-            ):
-                yield ProvenanceLink(entity, "worked on", Entity("labware", name), position), position - 1
-        for digest, at in asker.fetch(
-            "SELECT digest, position FROM files WHERE action = ? AND kind = 'given'", entity.name
-        ):
-            yield ProvenanceLink(entity, "was given", Entity("file", digest), at), position - 1
-        for lot, at in asker.fetch(
-            "SELECT DISTINCT lot, position FROM lot_uses "
-            "WHERE action = ? AND kind <> 'labware' AND position <= ?",
-            entity.name,
-            ended or upto,
-        ):
-            yield ProvenanceLink(entity, "used", Entity("lot", lot), at), at
-
-
-def find_result_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    ended = asker.fetch("SELECT ended_position, plate FROM actions WHERE action = ?", entity.name)
-    for position, plate in ended:
-        position = position or upto
-        yield ProvenanceLink(entity, "measured by", Entity("action", entity.name), position), position
-        wells = asker.fetch(
-            "SELECT DISTINCT labware, well FROM results WHERE action = ? AND labware <> ''", entity.name
-        )
-        for labware, well in wells:
-            yield ProvenanceLink(entity, "is of", Entity("well", f"{labware}/{well}"), position), position - 1
-        if plate and not wells:
-            yield ProvenanceLink(entity, "is of", Entity("labware", plate), position), position - 1
-
-
-def find_labware_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for lot, position in asker.fetch(
-        "SELECT lot, placed_position FROM labware WHERE labware = ? AND lot <> ''", entity.name
-    ):
-        yield ProvenanceLink(entity, "is of", Entity("lot", lot), position), position
-    for action, position in asker.fetch(
-        "SELECT e.action, t.position FROM labware_touches t JOIN events e ON e.position = t.position "
-        "WHERE t.labware = ? AND t.position <= ? AND e.type = 'action.requested' ORDER BY t.position",
-        entity.name,
-        upto,
-    ):
-        yield ProvenanceLink(entity, "was in the hands of", Entity("action", action), position), position
-
-
-def find_well_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    labware, well = well_of(entity.name)
-    for kind, liquid, lots, action, position in asker.fetch(
-        "SELECT kind, liquid, lots, action, position FROM transfers WHERE labware = ? AND well = ? "
-        "AND position <= ? AND kind <> 'out' ORDER BY position, number",
-        labware,
-        well,
-        upto,
-    ):
-        if kind == "sheet":
-            yield ProvenanceLink(entity, "holds", Entity("sample", liquid), position), position
-            continue
-        if action:
-            yield ProvenanceLink(entity, "was filled by", Entity("action", action), position), position
-        source = find_source_well(labware, liquid)
-        if source:
-            yield ProvenanceLink(entity, "was filled from", Entity("well", source), position), position - 1
-        for lot in msgspec.json.decode(lots or "[]", type=list[str]):
-            yield ProvenanceLink(entity, "holds", Entity("lot", lot), position), position
-
-
-def find_sample_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for user, sheet, position in asker.fetch(
-        "SELECT DISTINCT actor, sheet, position FROM samples WHERE sample = ? AND position <= ?",
-        entity.name,
-        upto,
-    ):
-        yield ProvenanceLink(entity, "registered by", Entity("user", user), position), position
-        yield ProvenanceLink(entity, "named in", Entity("file", sheet), position), position
-
-
-def find_file_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for action, position in asker.fetch(
-        "SELECT action, position FROM files WHERE digest = ? AND kind = 'returned' AND position <= ?",
-        entity.name,
-        upto,
-    ):
-        yield ProvenanceLink(entity, "was returned by", Entity("action", action), position), position
-
-
-def find_lot_causes(asker: ReadConnection, entity: Entity, upto: int) -> Found:
-    for user, position in asker.fetch(
-        "SELECT e.actor, u.position FROM lot_uses u JOIN events e ON e.position = u.position "
-        "WHERE u.lot = ? AND u.position <= ? AND u.kind IN ('counted', 'replenished', 'loaded') "
-        "AND u.action = ''",
-        entity.name,
-        upto,
-    ):
-        yield ProvenanceLink(entity, "was put in by", Entity("user", user), position), position
-
-
-CAUSES: dict[EntityKind, Rule] = {
-    "run": find_run_causes,
-    "experiment": find_experiment_causes,
-    "action": find_action_causes,
-    "result": find_result_causes,
-    "labware": find_labware_causes,
-    "well": find_well_causes,
-    "sample": find_sample_causes,
-    "file": find_file_causes,
-    "calibration": find_calibration_causes,
-    "lot": find_lot_causes,
+CAUSES: Links = {
+    "run": {
+        "asked for by user": "SELECT user_id, submitted_position FROM runs WHERE run = :name",
+        "follows workflow": "SELECT plan, submitted_position FROM runs WHERE run = :name",
+        "part of experiment": "SELECT experiment, submitted_position FROM runs "
+        "WHERE run = :name AND experiment <> ''",
+        "approved by user": "SELECT a.answered_by, a.answered_position FROM runs r JOIN approvals a "
+        "ON a.subject IN (r.run, r.campaign, r.experiment) AND a.subject <> '' "
+        "WHERE r.run = :name AND a.answer = 'approved' AND a.answered_position <= :upto",
+        "relied on calibration": _RELIED_ON.format("run"),
+    },
+    "experiment": {
+        "started by user": "SELECT user_id, started_position FROM experiments WHERE experiment = :name",
+    },
+    "action": {
+        "step of run": "SELECT run, requested_position FROM actions WHERE action = :name AND run <> ''",
+        "asked for by user": "SELECT e.actor, e.position FROM actions a JOIN events e "
+        "ON e.position = a.requested_position WHERE a.action = :name AND a.run = ''",
+        "carried out by driver": "SELECT module || ' ' || driver || ' ' || driver_version, "
+        "requested_position FROM actions WHERE action = :name AND driver <> ''",
+        "relied on calibration": _RELIED_ON.format("action"),
+        "worked on labware": _find_worked_on,
+        "was given file": "SELECT digest, position, position - 1 FROM files "
+        "WHERE action = :name AND kind = 'given'",
+        "used lot": "SELECT DISTINCT u.lot, u.position FROM lot_uses u JOIN actions a "
+        "ON a.action = u.action WHERE u.action = :name AND u.kind <> 'labware' "
+        "AND u.position <= coalesce(a.ended_position, :upto)",
+    },
+    "result": {
+        "measured by action": "SELECT action, coalesce(ended_position, :upto) FROM actions "
+        "WHERE action = :name",
+        "is of well": "SELECT DISTINCT r.labware || '/' || r.well, a.ended_position, a.ended_position - 1 "
+        "FROM results r JOIN actions a ON a.action = r.action WHERE r.action = :name AND r.labware <> ''",
+        "is of labware": "SELECT plate, coalesce(ended_position, :upto), coalesce(ended_position, :upto) - 1 "
+        "FROM actions WHERE action = :name AND plate <> '' "
+        "AND NOT EXISTS (SELECT 1 FROM results WHERE action = :name AND labware <> '')",
+    },
+    "labware": {
+        "is of lot": "SELECT lot, placed_position FROM labware WHERE labware = :name AND lot <> ''",
+        "was in the hands of action": "SELECT e.action, t.position FROM labware_touches t JOIN events e "
+        "ON e.position = t.position WHERE t.labware = :name AND t.position <= :upto "
+        "AND e.type = 'action.requested' ORDER BY t.position",
+    },
+    "well": {
+        "holds sample": f"SELECT liquid, position {_OF_WELL} AND kind = 'sheet'",
+        "was filled by action": f"SELECT action, position {_OF_WELL} AND kind = 'in' AND action <> ''",
+        "was filled from well": _find_source_wells,
+        "holds lot": query(f"SELECT lots, position {_OF_WELL} AND kind = 'in'", is_list=True),
+    },
+    "sample": {
+        "registered by user": "SELECT DISTINCT actor, position FROM samples "
+        "WHERE sample = :name AND position <= :upto",
+        "named in file": "SELECT DISTINCT sheet, position FROM samples "
+        "WHERE sample = :name AND position <= :upto",
+    },
+    "file": {
+        "was returned by action": "SELECT action, position FROM files "
+        "WHERE digest = :name AND kind = 'returned' AND position <= :upto",
+    },
+    "calibration": {
+        "recorded by user": "SELECT recorded_by, position FROM calibrations WHERE calibration = :name",
+        "is told by file": "SELECT file, position FROM calibrations WHERE calibration = :name AND file <> ''",
+    },
+    "lot": {
+        "was put in by user": "SELECT e.actor, u.position FROM lot_uses u JOIN events e "
+        "ON e.position = u.position WHERE u.lot = :name AND u.position <= :upto AND u.action = '' "
+        "AND u.kind IN ('counted', 'replenished', 'loaded')",
+    },
 }

@@ -37,7 +37,7 @@ class CrateExperiment(msgspec.Struct, frozen=True):
 
     experiment: str
     name: str
-    user: str
+    user_id: str
     status: str
     why: str
     started_at: str
@@ -58,7 +58,7 @@ class CrateRun(msgspec.Struct, frozen=True):
 
 def experiment_of(asker: ReadConnection, name: str) -> CrateExperiment | None:
     """The experiment of that name, if there is one."""
-    columns = ", ".join(("experiment", "name", "user_id", *CrateExperiment.__struct_fields__[3:]))
+    columns = ", ".join(CrateExperiment.__struct_fields__)
     rows = asker.fetch(f"SELECT {columns} FROM experiments WHERE experiment = ?", name)
     return CrateExperiment(*rows[0]) if rows else None
 
@@ -74,9 +74,7 @@ def add_experiment(
         for record in records
         if record.head.type == ExperimentNoted.TYPE
     ]
-    user = crate.add(
-        "Person", make_local_id("user", experiment.user), name=experiment.user, identifier=experiment.user
-    )
+    user = crate.add_user(experiment.user_id)
     folder = f"experiments/{safe_name(name)}"
     course = encode_canonical(_list_course(experiment, runs, notes))
     main = _add_application(crate, experiment, program, course, folder)
@@ -120,7 +118,7 @@ def _list_course(
     return {
         "experiment": experiment.experiment,
         "application": experiment.name,
-        "user": experiment.user,
+        "user": experiment.user_id,
         "status": experiment.status,
         "why": experiment.why,
         "course": [{"position": at, **entry} for at, entry in sorted(steps, key=lambda step: step[0])],
@@ -213,9 +211,7 @@ def _add_note(
         description=str(facts.get("about") or "") or None,
         keywords=words,
         datePublished=iso_time(head.recorded_at),
-        creator=make_link(
-            *(crate.add("Person", make_local_id("user", one), name=one, identifier=one) for one in people)
-        ),
+        creator=make_link(*map(crate.add_user, people)),
         hasPart=make_link(*files),
     )
     crate.extend("./", "mentions", entry)

@@ -50,6 +50,10 @@ class Crate:
         before = [each["@id"] for each in (known if isinstance(known, list) else [known])]
         self._entities[id_][name] = make_link(*before, *ids)
 
+    def add_user(self, user: str) -> str:
+        """Add a user, who is known only by the id; returns the id of the entry."""
+        return self.add("Person", make_local_id("user", user), name=user, identifier=user)
+
     def put(self, path: str, content: bytes, **properties: Any) -> str:
         """Add a file with this content; returns its id."""
         digest = hashlib.sha256(content).hexdigest()

@@ -21,11 +21,6 @@ STATUS = {
 }
 """The terms of schema.org for the end of a run or an action; without an end it is active."""
 
-_ACTION = (
-    "SELECT step, key, module, name, driver, driver_version, about, simulated, args, labware, status, "
-    "error, result, requested_at, ended_at FROM actions WHERE action = ?"
-)
-
 
 class Doer(msgspec.Struct, frozen=True):
     """The owner of the actions: the run, the digest of its plan, and the ids of its user and its workflow."""
@@ -47,6 +42,8 @@ class RecordedAction(msgspec.Struct, frozen=True):
 
 
 class _Action(msgspec.Struct, frozen=True):
+    """A row of the view ``actions``."""
+
     step: int | None
     key: str
     module: str
@@ -71,7 +68,8 @@ def json_of(value: Any) -> Any:
 
 def add_action(crate: Crate, asker: ReadConnection, doer: Doer, action: str) -> RecordedAction:
     """Add an action of a module, with everything that belongs to it."""
-    found = _Action(*asker.fetch(_ACTION, action)[0])
+    columns = ", ".join(_Action.__struct_fields__)
+    found = _Action(*asker.fetch(f"SELECT {columns} FROM actions WHERE action = ?", action)[0])
     id_ = make_local_id("action", action)
     tool = _add_driver(crate, found)
     used = [

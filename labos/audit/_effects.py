@@ -1,166 +1,87 @@
-"""The effects of a thing: the same links in the other direction. Each function yields the links from effects
-to a thing among the events from ``since`` to ``upto``, each with the position from which the effect itself
-counts. A recall must not miss anything: a resource that an action has used up concerns all labware that it
+"""The effects of a thing among the events from one position to another: the same links in the other
+direction. A recall must not miss anything: a resource that an action has used up concerns all labware that it
 processed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
-import msgspec
-
 from labos.audit._calibrations import IN_FORCE
-from labos.audit.graph import Entity, EntityKind, ProvenanceLink, well_of
-from labos.audit.query import ReadConnection
+from labos.audit._links import Links, query
 
-Found = Iterator[tuple[ProvenanceLink, int]]
-Rule = Callable[[ReadConnection, Entity, int, int], Found]
-
-
-_POURED = "SELECT 1 FROM lot_uses WHERE action = ? AND lot = ? AND kind = 'liquid'"
-"""An SQL condition: an action put a lot into wells, so that the wells are known."""
-
-
-def find_lot_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for kind, labware, action, position in asker.fetch(
-        "SELECT kind, labware, action, position FROM lot_uses WHERE lot = ? AND position BETWEEN ? AND ? "
-        "ORDER BY position, number",
-        *(entity.name, since, upto),
-    ):
-        if kind == "labware":
-            yield ProvenanceLink(Entity("labware", labware), "is of", entity, position), position
-        elif kind == "liquid":
-            for (well,) in asker.fetch(
-                "SELECT DISTINCT well FROM transfers WHERE position = ? AND kind = 'in'", position
-            ):
-                yield ProvenanceLink(Entity("well", f"{labware}/{well}"), "holds", entity, position), position
-        elif kind == "consumed" and action and not asker.fetch(_POURED, action, entity.name):
-            yield ProvenanceLink(Entity("action", action), "used", entity, position), position
-
-
-def find_well_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    labware, well = well_of(entity.name)
-    for action, position in asker.fetch(
-        "SELECT DISTINCT action, position FROM results WHERE labware = ? AND well = ? "
-        "AND position BETWEEN ? AND ?",
-        *(labware, well, since, upto),
-    ):
-        yield ProvenanceLink(Entity("result", action), "is of", entity, position), position
-    for action, position in asker.fetch(
+EFFECTS: Links = {
+    "lot": {
+        "is of labware": "SELECT labware, position FROM lot_uses "
+        "WHERE lot = :name AND position BETWEEN :since AND :upto AND kind = 'labware'",
+        "holds well": "SELECT DISTINCT u.labware || '/' || t.well, u.position FROM lot_uses u "
+        "JOIN transfers t ON t.position = u.position AND t.kind = 'in' "
+        "WHERE u.lot = :name AND u.position BETWEEN :since AND :upto AND u.kind = 'liquid'",
+        # If the action put the lot into wells, the wells are known.
+        "used action": "SELECT action, position FROM lot_uses u "
+        "WHERE lot = :name AND position BETWEEN :since AND :upto AND kind = 'consumed' AND action <> '' "
+        "AND NOT EXISTS (SELECT 1 FROM lot_uses p WHERE p.action = u.action AND p.lot = u.lot "
+        "AND p.kind = 'liquid')",
+    },
+    "well": {
+        "is of result": "SELECT DISTINCT action, position FROM results "
+        "WHERE labware = :labware AND well = :well AND position BETWEEN :since AND :upto "
         # Results without wells, such as an image, are results of the whole plate.
-        "SELECT a.action, a.ended_position FROM labware_touches t JOIN events e ON e.position = t.position "
-        "JOIN actions a ON a.action = e.action WHERE t.labware = ? AND t.position BETWEEN ? AND ? "
+        "UNION SELECT a.action, a.ended_position FROM labware_touches t "
+        "JOIN events e ON e.position = t.position JOIN actions a ON a.action = e.action "
+        "WHERE t.labware = :labware AND t.position BETWEEN :since AND :upto "
         "AND e.type IN ('action.succeeded', 'action.reconciled') AND a.plate = t.labware "
-        "AND a.result IS NOT NULL "
-        "AND NOT EXISTS (SELECT 1 FROM results r WHERE r.action = a.action) ORDER BY a.ended_position",
-        *(labware, since, upto),
-    ):
-        yield ProvenanceLink(Entity("result", action), "is of", entity, position), position
-    for into, target, position in asker.fetch(
-        "SELECT labware, well, position FROM transfers WHERE kind = 'in' AND position BETWEEN ? AND ? "
-        "AND ((labware = ? AND liquid = ?) OR liquid = ?) ORDER BY position, number",
-        *(since, upto, labware, well, entity.name),
-    ):
-        yield (
-            ProvenanceLink(Entity("well", f"{into}/{target}"), "was filled from", entity, position),
-            position,
-        )
-
-
-def find_labware_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for action, position in asker.fetch(
-        "SELECT e.action, t.position FROM labware_touches t JOIN events e ON e.position = t.position "
-        "WHERE t.labware = ? AND t.position BETWEEN ? AND ? AND e.type = 'action.requested' "
-        "ORDER BY t.position",
-        *(entity.name, since, upto),
-    ):
-        yield ProvenanceLink(Entity("action", action), "worked on", entity, position), position
-
-
-def find_action_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for labware, returned, requested, ended in asker.fetch(
-        "SELECT labware, result IS NOT NULL, requested_position, ended_position "
-        "FROM actions WHERE action = ?",
-        entity.name,
-    ):
-        for name in msgspec.json.decode(labware or "[]", type=list[str]):
-            yield ProvenanceLink(Entity("labware", name), "was in the hands of", entity, requested), requested
-        if returned and ended is not None and ended <= upto:
-            yield ProvenanceLink(Entity("result", entity.name), "measured by", entity, ended), ended
-    for digest, position in asker.fetch(
-        "SELECT digest, position FROM files WHERE action = ? AND kind = 'returned' AND position <= ?",
-        *(entity.name, upto),
-    ):
-        yield ProvenanceLink(Entity("file", digest), "was returned by", entity, position), position
-    for labware, well, position in asker.fetch(
-        "SELECT DISTINCT labware, well, position FROM transfers WHERE action = ? AND kind = 'in' "
-        "AND position <= ? ORDER BY position, well",
-        *(entity.name, upto),
-    ):
-        yield ProvenanceLink(Entity("well", f"{labware}/{well}"), "was filled by", entity, position), position
-
-
-def _find_rows(kind: EntityKind, relation: str, table: str, position: str, column: str) -> Rule:
-    """The rows of a table that name the thing in a column, each as a thing of its own kind."""
-    query = (
-        f"SELECT {kind}, {position} FROM {table} WHERE {column} = ? AND {position} <= ? ORDER BY {position}"
-    )
-
-    def links(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-        for name, at in asker.fetch(query, entity.name, upto):
-            yield ProvenanceLink(Entity(kind, name), relation, entity, at), at
-
-    return links
-
-
-def find_driver_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    module, driver, version = entity.name.split(" ", 2)
-    for action, position in asker.fetch(
-        "SELECT action, requested_position FROM actions WHERE module = ? AND driver = ? "
-        "AND driver_version = ? AND requested_position <= ? ORDER BY requested_position",
-        *(module, driver, version, upto),
-    ):
-        yield ProvenanceLink(Entity("action", action), "carried out by", entity, position), position
-
-
-def find_calibration_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for action, position in asker.fetch(
-        f"SELECT a.action, a.requested_position FROM calibrations c JOIN actions a ON {IN_FORCE} "
-        "WHERE c.calibration = ? AND a.requested_position <= ? ORDER BY a.requested_position",
-        *(entity.name, upto),
-    ):
-        yield ProvenanceLink(Entity("action", action), "relied on", entity, position), position
-
-
-def find_sample_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for labware, well, position in asker.fetch(
-        "SELECT labware, well, position FROM samples WHERE sample = ? AND position <= ? "
-        "ORDER BY position, well",
-        *(entity.name, upto),
-    ):
-        yield ProvenanceLink(Entity("well", f"{labware}/{well}"), "holds", entity, position), position
-
-
-def find_file_effects(asker: ReadConnection, entity: Entity, since: int, upto: int) -> Found:
-    for action, position in asker.fetch(
-        "SELECT action, position FROM files WHERE digest = ? AND kind = 'given' AND position BETWEEN ? AND ?",
-        *(entity.name, since, upto),
-    ):
-        yield ProvenanceLink(Entity("action", action), "was given", entity, position), position
-
-
-EFFECTS: dict[EntityKind, Rule] = {
-    "lot": find_lot_effects,
-    "well": find_well_effects,
-    "labware": find_labware_effects,
-    "action": find_action_effects,
-    "run": _find_rows("action", "step of", "actions", "requested_position", "run"),
-    "experiment": _find_rows("run", "part of", "runs", "submitted_position", "experiment"),
-    "user": _find_rows("run", "asked for by", "runs", "submitted_position", "user_id"),
-    "workflow": _find_rows("run", "follows", "runs", "submitted_position", "plan"),
-    "driver": find_driver_effects,
-    "calibration": find_calibration_effects,
-    "sample": find_sample_effects,
-    "file": find_file_effects,
+        "AND a.result IS NOT NULL AND NOT EXISTS (SELECT 1 FROM results r WHERE r.action = a.action) "
+        "ORDER BY 2",
+        "was filled from well": "SELECT labware || '/' || well, position FROM transfers "
+        "WHERE kind = 'in' AND position BETWEEN :since AND :upto "
+        "AND ((labware = :labware AND liquid = :well) OR liquid = :name) ORDER BY position, number",
+    },
+    "labware": {
+        "worked on action": "SELECT e.action, t.position FROM labware_touches t JOIN events e "
+        "ON e.position = t.position WHERE t.labware = :name AND t.position BETWEEN :since AND :upto "
+        "AND e.type = 'action.requested' ORDER BY t.position",
+    },
+    "action": {
+        "was in the hands of labware": query(
+            "SELECT labware, requested_position FROM actions WHERE action = :name", is_list=True
+        ),
+        "measured by result": "SELECT action, ended_position FROM actions "
+        "WHERE action = :name AND result IS NOT NULL AND ended_position <= :upto",
+        "was returned by file": "SELECT digest, position FROM files "
+        "WHERE action = :name AND kind = 'returned' AND position <= :upto",
+        "was filled by well": "SELECT DISTINCT labware || '/' || well, position FROM transfers "
+        "WHERE action = :name AND kind = 'in' AND position <= :upto ORDER BY 2, 1",
+    },
+    "run": {
+        "step of action": "SELECT action, requested_position FROM actions "
+        "WHERE run = :name AND requested_position <= :upto ORDER BY 2",
+    },
+    "experiment": {
+        "part of run": "SELECT run, submitted_position FROM runs "
+        "WHERE experiment = :name AND submitted_position <= :upto ORDER BY 2",
+    },
+    "user": {
+        "asked for by run": "SELECT run, submitted_position FROM runs "
+        "WHERE user_id = :name AND submitted_position <= :upto ORDER BY 2",
+    },
+    "workflow": {
+        "follows run": "SELECT run, submitted_position FROM runs "
+        "WHERE plan = :name AND submitted_position <= :upto ORDER BY 2",
+    },
+    "driver": {
+        "carried out by action": "SELECT action, requested_position FROM actions WHERE module = :module "
+        "AND driver = :driver AND driver_version = :version AND requested_position <= :upto ORDER BY 2",
+    },
+    "calibration": {
+        "relied on action": "SELECT a.action, a.requested_position FROM calibrations c "
+        f"JOIN actions a ON {IN_FORCE} WHERE c.calibration = :name AND a.requested_position <= :upto "
+        "ORDER BY 2",
+    },
+    "sample": {
+        "holds well": "SELECT labware || '/' || well, position FROM samples "
+        "WHERE sample = :name AND position <= :upto ORDER BY position, well",
+    },
+    "file": {
+        "was given action": "SELECT action, position FROM files "
+        "WHERE digest = :name AND kind = 'given' AND position BETWEEN :since AND :upto",
+    },
 }

@@ -38,20 +38,12 @@ def _put(rows: RowChanges, position: int, place: int, kind: str, name: str, at: 
     """Write an entry; missing fields are empty. ``fields['also']`` are further words by which it can be
     found."""
     also = fields.pop("also", ())
-    row: Row = {
-        "number": position * PLACES + place,
-        "kind": kind,
-        "name": name,
-        "at_s": at,
-        **dict.fromkeys(("title", "about", "user_id", "workcell", "workflow"), ""),
-        **dict.fromkeys(("experiment", "run", "module", "status"), ""),
-        **{"keywords": [], "creators": [], "files": []},
-        **fields,
-    }
+    lists: Row = {"keywords": [], "creators": [], "files": []}
+    number = position * PLACES + place
+    row = rows.put(ENTRIES, number=number, kind=kind, name=name, at_s=at, **{**lists, **fields})
     searched = ("name", "title", "about", "user_id", "workcell", "workflow", "experiment", "run", "module")
-    lists = ("keywords", "creators", "files")
     row["words"] = join_words([*(row[part] for part in (*searched, *lists)), kind, also])
-    return rows.put(ENTRIES, row)
+    return row
 
 
 def _add_words(row: Row, *values: Any) -> None:
@@ -79,16 +71,12 @@ def on_experiment_changed(
     at: float,
 ) -> None:
     experiment = rows.get(EXPERIMENTS, event.experiment)
-    entry = _entry_of(rows, experiment, "started_position")
-    if experiment is not None and entry is not None:
-        entry["status"] = experiment["status"]
-        _add_words(entry, experiment["why"])
+    entry = rows.update(ENTRIES, experiment["started_position"] * PLACES, status=experiment["status"])
+    _add_words(entry, experiment["why"])
 
 
 def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: float) -> None:
     run = rows.get(RUNS, event.run)
-    if run is None:
-        return
     _put(
         *(rows, head.position, 0, "run", event.run, at),
         title=event.workflow,
@@ -109,14 +97,8 @@ def on_run_changed(
     at: float,
 ) -> None:
     run = rows.get(RUNS, event.run)
-    entry = _entry_of(rows, run, "submitted_position")
-    if run is not None and entry is not None:
-        entry["status"] = run["status"]
-        _add_words(entry, run["why"])
-
-
-def _entry_of(rows: RowChanges, row: Row | None, position: str) -> Row | None:
-    return rows.change(ENTRIES, row[position] * PLACES) if row is not None else None
+    entry = rows.update(ENTRIES, run["submitted_position"] * PLACES, status=run["status"])
+    _add_words(entry, run["why"])
 
 
 # -- results of steps --------------------------------------------------------------------------
@@ -127,14 +109,14 @@ def on_result(
 ) -> None:
     """Add the measured values, and each file."""
     action = rows.get(ACTIONS, event.action)
-    if action is None or event.result is None:
+    if not action["action"] or event.result is None:
         return
-    run = rows.get(RUNS, event.run) if event.run else None
+    run = rows.get(RUNS, event.run)
     about: dict[str, Any] = {
-        "user_id": run["user_id"] if run is not None else "",
+        "user_id": run["user_id"],
         "workcell": workcell_of(event.module),
-        "workflow": run["workflow"] if run is not None else "",
-        "experiment": run["experiment"] if run is not None else "",
+        "workflow": run["workflow"],
+        "experiment": run["experiment"],
         "run": event.run,
         "module": event.module,
     }
@@ -145,9 +127,8 @@ def on_result(
     found = list(iterate_tables(event.result))
     if found:
         measured = list(dict.fromkeys(table.quantity for table in found))[:MOST_LISTED]
-        labware = rows.get(LABWARE, plate) if plate else None
         wells = {well for table in found for well in table.values}
-        samples = [s for well, s in (labware["samples"] if labware else {}).items() if well in wells]
+        samples = [s for well, s in samples_of(rows, plate).items() if well in wells]
         title = f"{', '.join(measured)}{on_plate}"
         units = [table.unit for table in found]
         also = (key, action["name"], samples, units, plate)
@@ -181,8 +162,8 @@ def _list_readings(files: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]
 
 def samples_of(rows: RowChanges, labware: str) -> Mapping[str, str]:
     """The samples of labware so far, by well."""
-    row = rows.get(LABWARE, labware)
-    return row["samples"] if row is not None else {}
+    samples: Mapping[str, str] = rows.get(LABWARE, labware)["samples"]
+    return samples
 
 
 def on_samples_registered(
@@ -190,10 +171,10 @@ def on_samples_registered(
 ) -> None:
     """Add a sample sheet, which replaces the one ``before``."""
     labware = rows.get(LABWARE, event.labware)
-    if labware is None:
+    if not labware["labware"]:
         return
     first = labware["placed_position"] * PLACES + SAMPLES_FROM
-    run = rows.get(RUNS, event.run) if event.run else None
+    run = rows.get(RUNS, event.run)
     for well in before:
         if well not in labware["samples"] and (place := _place(well)) is not None:
             rows.update(ENTRIES, first + place, status="replaced")
@@ -207,8 +188,8 @@ def on_samples_registered(
             title=sample,
             user_id=head.actor,
             workcell=workcell_of(labware["station"]),
-            workflow=run["workflow"] if run is not None else "",
-            experiment=run["experiment"] if run is not None else "",
+            workflow=run["workflow"],
+            experiment=run["experiment"],
             run=event.run,
             also=(labware["type"], labware["barcode"]),
         )
@@ -229,18 +210,15 @@ def _place(well: str) -> int | None:
 def on_noted(rows: RowChanges, event: x.ExperimentNoted, head: Envelope, at: float) -> None:
     experiment = rows.get(EXPERIMENTS, event.experiment)
     if event.kind != "publication":
-        entry = _entry_of(rows, experiment, "started_position")
-        if entry is not None:
-            _add_words(entry, event.name)
+        _add_words(rows.change(ENTRIES, experiment["started_position"] * PLACES), event.name)
         return
     facts = event.facts
-    name = experiment["name"] if experiment is not None else ""
     _put(
         *(rows, head.position, 0, "publication", f"{event.experiment}@{head.position}", at),
         title=_text(facts.get("title")) or event.name,
         about=_text(facts.get("about")),
-        user_id=experiment["user_id"] if experiment is not None else head.actor,
-        workflow=name,
+        user_id=experiment["user_id"] or head.actor,
+        workflow=experiment["name"],
         experiment=event.experiment,
         status="published",
         keywords=_texts(facts.get("keywords")),

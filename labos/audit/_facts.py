@@ -41,12 +41,11 @@ def facts_of(asker: ReadConnection, entity: Entity, upto: int) -> dict[str, Any]
     """The facts of an entity at a position, without empty ones, except the ``calibrations`` of a run or an
     action."""
     match entity.kind:
-        case "action" | "result":
-            facts = _read_facts(asker, "action", entity.name)
-            facts["calibrations"] = _list_calibrations(asker, "action", entity, upto)
-        case "run":
-            facts = _read_facts(asker, "run", entity.name)
-            facts["calibrations"] = _list_calibrations(asker, "run", entity, upto)
+        case "action" | "result" | "run":
+            kind = "run" if entity.kind == "run" else "action"
+            facts = _read_facts(asker, kind, entity.name)
+            relied_on = asker.fetch(_RELIED_ON[kind], entity.name, upto)
+            facts["calibrations"] = [str(name) for name, _ in relied_on]
         case "labware" | "experiment" | "calibration":
             facts = _read_facts(asker, entity.kind, entity.name)
         case "file":
@@ -88,10 +87,6 @@ def describe_entity(entity: Entity, facts: dict[str, Any]) -> str:
             until = f", valid until {facts['until']}" if facts.get("until") else ""
             return f"calibration {entity.name.rpartition('@')[2]} ({of}{certificate}{until})"
     return str(entity)
-
-
-def _list_calibrations(asker: ReadConnection, column: str, entity: Entity, upto: int) -> list[str]:
-    return [str(name) for name, _ in asker.fetch(_RELIED_ON[column], entity.name, upto)]
 
 
 def _read_facts(asker: ReadConnection, kind: str, name: str) -> dict[str, Any]:

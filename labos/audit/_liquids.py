@@ -16,8 +16,6 @@ from labos.core.ids import ModuleName
 from labos.errors import LogDamaged, NotFound
 from labos.ports import BlobStore
 
-SHEETS = (b.SamplesRegistered,)
-
 
 def on_poured(rows: RowChanges, event: b.LiquidTransferred, head: Envelope, at: float) -> None:
     lots = list(event.lots)
@@ -38,14 +36,12 @@ def on_drawn(rows: RowChanges, event: b.LiquidDrawn, head: Envelope, at: float) 
 
 
 def on_samples_registered(
-    rows: RowChanges, event: Any, head: Envelope, at: float, blobs: BlobStore | None
+    rows: RowChanges, event: b.SamplesRegistered, head: Envelope, at: float, blobs: BlobStore | None
 ) -> None:
     """Add a sample sheet. A sheet that is too long for the log is a blob; if the blob is lost, its rows are
     missing."""
-    row = rows.change(LABWARE, event.labware)
     samples = event.wells or _unpack(blobs, event.blob)
-    if row is not None:
-        row["samples"] = {item.well: item.sample for item in samples}
+    rows.update(LABWARE, event.labware, samples={item.well: item.sample for item in samples})
     for number, item in enumerate({item.well: item for item in samples}.values()):
         about = (event.labware, item.well, item.sample, item.volume_ul, event.sheet, head.actor)
         rows.add(SAMPLES, head.position, at, *about)
@@ -62,48 +58,40 @@ def _unpack(blobs: BlobStore | None, blob: str) -> tuple[b.Sample, ...]:
         return ()
 
 
-def on_counted(rows: RowChanges, event: s.LevelSet, head: Envelope, at: float) -> None:
-    _change(rows, event, head, at, s.fold_level_set, ("counted", event.level, event.lot, ""))
+_LEVELS: dict[type[s.LevelSet | s.ResourceReplenished | s.ResourceConsumed], tuple[str, Any]] = {
+    s.LevelSet: ("counted", s.fold_level_set),
+    s.ResourceReplenished: ("replenished", s.fold_resource_replenished),
+    s.ResourceConsumed: ("consumed", s.fold_resource_consumed),
+}
+"""The kind of each change of a level, and its fold in the lab itself."""
 
 
-def on_replenished(rows: RowChanges, event: s.ResourceReplenished, head: Envelope, at: float) -> None:
-    _change(
-        rows,
-        event,
-        head,
-        at,
-        s.fold_resource_replenished,
-        ("replenished", event.amount, event.lot, event.expires),
-    )
-
-
-def on_consumed(rows: RowChanges, event: s.ResourceConsumed, head: Envelope, at: float) -> None:
-    _change(rows, event, head, at, s.fold_resource_consumed, ("consumed", event.amount, event.lot, ""))
-
-
-def _change(
-    rows: RowChanges, event: Any, head: Envelope, at: float, fold: Any, what: tuple[str, float, str, str]
+def on_level_changed(
+    rows: RowChanges,
+    event: s.LevelSet | s.ResourceReplenished | s.ResourceConsumed,
+    head: Envelope,
+    at: float,
 ) -> None:
-    """Change a level, with the same fold as the lab itself."""
+    kind, fold = _LEVELS[type(event)]
     row = rows.change(RESOURCES, event.module, event.resource)
+    if not row["module"]:
+        row = rows.put(RESOURCES, event, level=None, capacity=None, lots=[])
     held = s.Resources()
     key = f"{event.module}:{event.resource}"
-    if row is not None and row["level"] is not None:
+    if row["level"] is not None:
         lots = msgspec.convert(row["lots"], list[s.Lot])
         held.levels[key] = s.Level(row["level"], row["capacity"], lots)
     if key in held.levels or isinstance(event, s.LevelSet):
         fold(held, event, 0)
     level = held.find(ModuleName(event.module), event.resource)
-    if row is None:
-        row = rows.put(RESOURCES, {"level": None, "capacity": None, "lots": []}, event)
     if level is not None:
         row["level"], row["capacity"] = level.level, level.capacity
         row["lots"] = msgspec.to_builtins(level.lots)
     row["changed_at_s"] = at
-    kind, amount, lot, expires = what
-    run, action = getattr(event, "run", ""), getattr(event, "action", "")
-    about = (event.module, event.resource, kind, amount, row["level"], lot, expires, run, action, head.actor)
-    rows.add(RESOURCE_CHANGES, head.position, at, *about)
-    if lot:
-        used = (lot, kind, event.module, event.resource, "", run, action)
+    amount = event.level if isinstance(event, s.LevelSet) else event.amount
+    expires, run, action = (getattr(event, name, "") for name in ("expires", "run", "action"))
+    what = (event.module, event.resource, kind, amount, row["level"], event.lot)
+    rows.add(RESOURCE_CHANGES, head.position, at, *what, expires, run, action, head.actor)
+    if event.lot:
+        used = (event.lot, kind, event.module, event.resource, "", run, action)
         rows.add(LOT_USES, head.position, 0, at, *used)

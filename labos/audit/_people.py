@@ -23,29 +23,29 @@ def on_submitted(rows: RowChanges, event: r.RunSubmitted, head: Envelope, at: fl
 
 def _change_person(rows: RowChanges, user: str, at: float) -> Row:
     person = rows.change(USERS, user)
-    if person is None:
+    if not person["user_id"]:
         counts = {"runs": 0, "experiments": 0, "answers": 0, "events": 0}
-        person = rows.put(USERS, {"user_id": user, "first_at_s": at, **counts})
+        person = rows.put(USERS, user_id=user, first_at_s=at, **counts)
     person["last_at_s"] = at
     return person
 
 
 def on_erased(rows: RowChanges, event: UserErased, head: Envelope, at: float) -> None:
-    row = rows.change(USERS, event.user) or _change_person(rows, event.user, at)
+    row = rows.change(USERS, event.user)
+    if not row["user_id"]:
+        row = _change_person(rows, event.user, at)
     row["erased_at_s"] = at
 
 
 def on_asked(rows: RowChanges, event: i.InterventionRequested, head: Envelope, at: float) -> None:
     rows.put(
         INTERVENTIONS,
-        {
-            "labware": list(event.labware),
-            "choices": [choice.name for choice in event.choices],
-            "asked_at_s": at,
-            "due_at_s": convert_to_seconds(event.due_at) if event.due_at else None,
-            "asked_position": head.position,
-        },
         event,
+        labware=list(event.labware),
+        choices=[choice.name for choice in event.choices],
+        asked_at_s=at,
+        due_at_s=convert_to_seconds(event.due_at) if event.due_at else None,
+        asked_position=head.position,
     )
 
 
@@ -61,14 +61,12 @@ def on_resolved(rows: RowChanges, event: i.InterventionResolved, head: Envelope,
 def on_started(rows: RowChanges, event: x.ExperimentStarted, head: Envelope, at: float) -> None:
     rows.put(
         EXPERIMENTS,
-        {
-            "user_id": event.user,
-            "status": "open",
-            "runs": 0,
-            "started_at_s": at,
-            "started_position": head.position,
-        },
         event,
+        user_id=event.user,
+        status="open",
+        runs=0,
+        started_at_s=at,
+        started_position=head.position,
     )
     _change_person(rows, event.user, at)["experiments"] += 1
 
@@ -77,14 +75,12 @@ def on_cancelled(
     rows: RowChanges, event: x.ExperimentCancelled | x.ExperimentClosing, head: Envelope, at: float
 ) -> None:
     row = rows.change(EXPERIMENTS, event.experiment)
-    if row is not None:
-        row["status"] = "closing" if isinstance(event, x.ExperimentClosing) else "cancelled"
-        row["why"] = row["why"] or event.why
+    row["status"] = "closing" if isinstance(event, x.ExperimentClosing) else "cancelled"
+    row["why"] = row["why"] or event.why
 
 
 def on_ended(rows: RowChanges, event: x.ExperimentEnded, head: Envelope, at: float) -> None:
     row = rows.update(
         EXPERIMENTS, event.experiment, status="ended", ended_at_s=at, ended_position=head.position
     )
-    if row is not None:
-        row["why"] = row["why"] or event.why
+    row["why"] = row["why"] or event.why

@@ -11,15 +11,13 @@ from psycopg import sql
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import STATE, TABLE_SCHEMA, VIEW_SCHEMA, Dialect, table_name
-from labos.audit._encode import decode_row
-from labos.audit._rows import Key, Row
+from labos.audit._rows import Key
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.tables import VERSION, Table
 from labos.errors import NotFound
 
 CONNECT_TIMEOUT_S = 5
 
-_STATE = table_name(STATE, "postgresql")
 _MAKING = 0x4C614175
 """An advisory lock ("LaAu"), so that only one process at a time creates the tables."""
 
@@ -40,22 +38,12 @@ class PostgresAudit(AuditDatabase):
     """See ``AuditDatabase``."""
 
     dialect: ClassVar[Dialect] = "postgresql"
+    _connection: psycopg.Connection[Any]
 
     def __init__(self, url: URL) -> None:
         super().__init__(url)
         with self._door:
             self._connection = connect(url)
-
-    def load(self, table: Table, key: Key) -> Row | None:
-        columns = ", ".join(f'"{name}"' for name in table.stored)
-        where = " AND ".join(f'"{name}" = %s' for name in table.key)
-        statement = f"SELECT {columns} FROM {table_name(table.name, 'postgresql')} WHERE {where}"
-        with self._door:
-            found = self._connection.execute(statement.encode(), key).fetchone()
-        return None if found is None else decode_row(table, found)
-
-    def close(self) -> None:
-        self._connection.close()
 
     def allow_reading(self, role: str) -> None:
         """Allow an existing role to read the views, and to find them without the schema's name. Raises
@@ -89,28 +77,25 @@ class PostgresAudit(AuditDatabase):
     def _execute(self, statement: str, values: Sequence[Any] | None = None) -> psycopg.Cursor[Any]:
         return self._connection.execute(statement.encode(), values)
 
+    def _fetch(self, table: Table, key: Key) -> Any:
+        columns = ", ".join(f'"{name}"' for name in table.stored)
+        where = " AND ".join(f'"{name}" = %s' for name in table.key)
+        statement = f"SELECT {columns} FROM {table_name(table.name, 'postgresql')} WHERE {where}"
+        return self._execute(statement, key).fetchone()
+
     def _lock_mark(self) -> Mark:
-        self._execute(f"SELECT 1 FROM {_STATE} FOR UPDATE")
+        self._execute(f"SELECT 1 FROM {self._state} FOR UPDATE")
         return self._mark()
 
     def _scrub(self) -> str:
         return ""  # the files of tables that are dropped are removed
 
-    def _version(self) -> int:
-        known = self._execute("SELECT to_regclass(%s)", (f"{TABLE_SCHEMA}.{STATE}",)).fetchone()
-        if known is None or known[0] is None:
-            return 0
-        found = self._execute(f"SELECT version FROM {_STATE}").fetchone()
-        return 0 if found is None else int(found[0])
-
-    def _mark(self) -> Mark:
-        row = self._execute(f"SELECT lab, position, hash, at_s FROM {_STATE}").fetchone()
-        assert row is not None
-        return Mark(*row)
+    def _has_state(self) -> bool:
+        return self._execute("SELECT to_regclass(%s)", (f"{TABLE_SCHEMA}.{STATE}",)).fetchone() != (None,)
 
     def _note(self, mark: Mark) -> None:
         self._execute(
-            f"INSERT INTO {_STATE} VALUES (1, %s, %s, %s, %s, %s) ON CONFLICT (id) DO UPDATE SET "
+            f"INSERT INTO {self._state} VALUES (1, %s, %s, %s, %s, %s) ON CONFLICT (id) DO UPDATE SET "
             "version = excluded.version, lab = excluded.lab, position = excluded.position, "
             "hash = excluded.hash, at_s = excluded.at_s",
             (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
+from labos.audit._columns import Kind
 from labos.audit.tables import TABLES, Table
 from labos.core.registry import TYPES, Event
 
@@ -20,6 +21,8 @@ MOST_KEPT = 200_000
 are needed."""
 
 
+_NOTHING: dict[Kind, Any] = {"text": "", "flag": False, "json": {}, "time": None, "integer": 0, "number": 0.0}
+_ABSENT = {table.name: {c.stored: _NOTHING[c.kind] for c in table.columns} for table in TABLES}
 _EMPTY: dict[str, Row] = {table.name: {c.stored: c.empty for c in table.columns} for table in TABLES}
 
 
@@ -50,40 +53,37 @@ class RowChanges:
         """Add a row, in the order of its columns, to a table that only grows."""
         self._added[table.name].append(values)
 
-    def put(self, table: Table, row: Row, event: Event | None = None) -> Row:
-        """Add a new row, or replace one. A column that is not in ``row`` gets the field of the ``event`` with
-        its name; it is empty if there is no such field."""
-        from_event = {
-            name: getattr(event, name)
-            for name in _list_shared_columns(table.name, event.TYPE if event is not None else "")
-        }
-        row = {**_EMPTY[table.name], **from_event, **row}
+    def put(self, table: Table, event: Event | None = None, /, **columns: Any) -> Row:
+        """Add a new row, or replace one. A column that is not named gets the field of the ``event`` with its
+        name; it is empty if there is no such field."""
+        shared = _list_shared_columns(table.name, event.TYPE if event is not None else "")
+        from_event = {name: getattr(event, name) for name in shared}
+        row = {**_EMPTY[table.name], **from_event, **columns}
         key = tuple(row[name] for name in table.key)
         self._known[table.name][key] = self._changed[table.name][key] = row
         return row
 
-    def get(self, table: Table, *key: Any) -> Row | None:
-        """A row for reading; None if there is none."""
+    def get(self, table: Table, *key: Any) -> Row:
+        """A row for reading. A row that does not exist is empty, its key too: its numbers are 0."""
         known = self._known[table.name]
         row = known.get(key)
-        if row is None:
+        if row is None and "" not in key:
             row = self._load(table, key)
             if row is not None:
                 known[key] = row
-        return row
+        return dict(_ABSENT[table.name]) if row is None else row
 
-    def change(self, table: Table, *key: Any) -> Row | None:
-        """A row for changing; None if there is none."""
+    def change(self, table: Table, *key: Any) -> Row:
+        """A row for changing. Changes of a row that does not exist are not kept."""
         row = self.get(table, *key)
-        if row is not None:
+        if key in self._known[table.name]:
             self._changed[table.name][key] = row
         return row
 
-    def update(self, table: Table, *key: Any, **values: Any) -> Row | None:
-        """Change columns of a row; None if there is no such row."""
+    def update(self, table: Table, *key: Any, **values: Any) -> Row:
+        """Change columns of a row, as ``change``."""
         row = self.change(table, *key)
-        if row is not None:
-            row.update(values)
+        row.update(values)
         return row
 
     def list_added(self) -> Iterator[tuple[Table, list[Key]]]:

@@ -11,4 +11,4 @@ from labos.core.signatures import RecordsSigned, RunSigned
 def on_signed(rows: RowChanges, event: RunSigned | RecordsSigned, head: Envelope, at: float) -> None:
     run = {"subject": event.run, "kind": "run", "runs": 0} if isinstance(event, RunSigned) else {}
     about = {"position": head.position, "signed_by": event.by, "comment": event.why, "at_s": at}
-    rows.put(SIGNATURES, {**about, **run}, event)
+    rows.put(SIGNATURES, event, **about, **run)

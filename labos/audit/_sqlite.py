@@ -10,9 +10,8 @@ from typing import Any, ClassVar
 
 from sqlalchemy.engine import URL
 
-from labos.audit._ddl import STATE, Dialect, table_name
-from labos.audit._encode import decode_row
-from labos.audit._rows import Key, Row
+from labos.audit._ddl import Dialect, table_name
+from labos.audit._rows import Key
 from labos.audit.database import AuditDatabase, Mark
 from labos.audit.tables import TABLES, VERSION, Table
 from labos.private import make_database_file
@@ -26,8 +25,6 @@ CACHE_KB = 64_000
 PAGES_LOGGED = 20_000
 """The number of pages in the write-ahead log before it is moved into the file; in between, the same pages are
 written repeatedly."""
-
-_STATE = table_name(STATE, "sqlite")
 
 
 def _insert(table: Table) -> str:
@@ -49,6 +46,7 @@ class SqliteAudit(AuditDatabase):
     """See ``AuditDatabase``."""
 
     dialect: ClassVar[Dialect] = "sqlite"
+    _connection: sqlite3.Connection
 
     def __init__(self, url: URL) -> None:
         super().__init__(url)
@@ -73,14 +71,6 @@ class SqliteAudit(AuditDatabase):
                 self._connection.close()
                 raise
 
-    def load(self, table: Table, key: Key) -> Row | None:
-        with self._door:
-            found = self._connection.execute(_SELECT[table.name], key).fetchone()
-        return None if found is None else decode_row(table, found)
-
-    def close(self) -> None:
-        self._connection.close()
-
     # -- internal ----------------------------------------------------------------------------
 
     @contextmanager
@@ -95,8 +85,11 @@ class SqliteAudit(AuditDatabase):
                     self._connection.execute("ROLLBACK")
                 raise
 
-    def _execute(self, statement: str) -> object:
+    def _execute(self, statement: str) -> sqlite3.Cursor:
         return self._connection.execute(statement)
+
+    def _fetch(self, table: Table, key: Key) -> Any:
+        return self._connection.execute(_SELECT[table.name], key).fetchone()
 
     def _scrub(self) -> str:
         # The file is written anew without its free pages; then the write-ahead log is moved into it and
@@ -105,20 +98,14 @@ class SqliteAudit(AuditDatabase):
         busy, *_ = self._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
         return f"another program reads {self.path}" if busy else ""
 
-    def _version(self) -> int:
-        known = self._connection.execute(
-            "SELECT 1 FROM sqlite_master WHERE name = ?", (_STATE.strip('"'),)
-        ).fetchone()
-        found = self._connection.execute(f"SELECT version FROM {_STATE}").fetchone() if known else None
-        return 0 if found is None else int(found[0])
-
-    def _mark(self) -> Mark:
-        row = self._connection.execute(f"SELECT lab, position, hash, at_s FROM {_STATE}").fetchone()
-        return Mark(*row)
+    def _has_state(self) -> bool:
+        name = self._state.strip('"')
+        query = "SELECT 1 FROM sqlite_master WHERE name = ?"
+        return self._connection.execute(query, (name,)).fetchone() is not None
 
     def _note(self, mark: Mark) -> None:
         self._connection.execute(
-            f"INSERT OR REPLACE INTO {_STATE} VALUES (1, ?, ?, ?, ?, ?)",
+            f"INSERT OR REPLACE INTO {self._state} VALUES (1, ?, ?, ?, ?, ?)",
             (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),
         )
 

@@ -22,8 +22,8 @@ def list_touched(rows: RowChanges, event: Event) -> Iterable[str]:
     if isinstance(event, ActionRequested):
         return labware_of(event.effects)
     if isinstance(event, ActionEvent):
-        action = rows.get(ACTIONS, event.action)
-        return action["labware"] if action is not None else ()
+        names: Iterable[str] = rows.get(ACTIONS, event.action)["labware"]
+        return names
     if isinstance(event, InterventionRequested):
         return {*event.labware, *labware_of(event.motions)}
     if isinstance(event, StationObserved) and event.labware:

@@ -50,10 +50,6 @@ NOT_CARRIED_OUT = ["File", "SoftwareSourceCode", "HowTo"]
 """The type of a workflow of which no step was carried out, because the profiles require tools for a
 computational workflow."""
 
-_RUNS = (
-    "SELECT run, workflow, workcell, user_id, experiment, status, why, plan, pins, payload, submitted_at, "
-    "started_at, ended_at, submitted_position, ended_position FROM runs WHERE {} ORDER BY submitted_position"
-)
 _TABLES = {
     "results.csv": (
         "What was measured, well by well",
@@ -74,7 +70,7 @@ class Run(msgspec.Struct, frozen=True):
     run: str
     workflow: str
     workcell: str
-    user: str
+    user_id: str
     experiment: str
     status: str
     why: str
@@ -90,7 +86,8 @@ class Run(msgspec.Struct, frozen=True):
 
 def runs_of(asker: ReadConnection, name: str) -> list[Run]:
     """The run of that name, or the runs of the experiment (perhaps none). Raises NotFound."""
-    rows = asker.fetch(_RUNS.format("run = ?"), name) or asker.fetch(_RUNS.format("experiment = ?"), name)
+    query = f"SELECT {', '.join(Run.__struct_fields__)} FROM runs WHERE {{}} = ? ORDER BY submitted_position"
+    rows = asker.fetch(query.format("run"), name) or asker.fetch(query.format("experiment"), name)
     if not rows and experiment_of(asker, name) is None:
         raise NotFound(
             f"There is neither a run nor an experiment {name!r} in this log.",
@@ -148,7 +145,9 @@ def make_crate(
         profiles += OF_ONE_WORKFLOW
         crate.add_properties("./", mainEntity=make_link(*main))
         crate.add_properties(METADATA, conformsTo=make_link(VERSION, OF_ONE_WORKFLOW[-1][0]))
-    users = [run.user for run in runs] or [experiment.user for experiment in (experiment,) if experiment]
+    users = [run.user_id for run in runs] or [
+        experiment.user_id for experiment in (experiment,) if experiment
+    ]
     crate.add_properties("./", author=make_link(*(make_local_id("user", user) for user in users)))
     for table, (words, columns, query) in _TABLES.items():
         _add_table(crate, asker, runs, table, words, columns.split(), query)
@@ -219,7 +218,7 @@ def _plan_of(log: Log, digest: str) -> bytes:
 
 def _add_run(crate: Crate, asker: ReadConnection, log: Log, run: Run, workflow: str) -> bool:
     """Add the run and each of its actions; returns whether something was carried out."""
-    user = crate.add("Person", make_local_id("user", run.user), name=run.user, identifier=run.user)
+    user = crate.add_user(run.user_id)
     id_ = make_local_id("run", run.run)
     payload = crate.put(
         f"runs/{run.run}/payload.json",

@@ -14,8 +14,8 @@ from typing import Any, ClassVar
 import msgspec
 from sqlalchemy.engine import URL
 
-from labos.audit._ddl import Dialect, drop_all, make_all
-from labos.audit._encode import encode_rows, encode_values
+from labos.audit._ddl import STATE, Dialect, drop_all, make_all, table_name
+from labos.audit._encode import decode_row, encode_rows, encode_values
 from labos.audit._rows import Key, Row, RowChanges
 from labos.audit.tables import VERSION, Table
 from labos.errors import LogTooNew
@@ -36,8 +36,10 @@ class AuditDatabase(ABC):
     PostgreSQL."""
 
     dialect: ClassVar[Dialect]
+    _connection: Any
 
     def __init__(self, url: URL) -> None:
+        self._state = table_name(STATE, self.dialect)
         self.name, self._url, self._door = display_name(url), url, TranslatedErrors(url)
 
     def prepare(self) -> Mark:
@@ -75,9 +77,11 @@ class AuditDatabase(ABC):
     def _scrub(self) -> str:
         """Remove deleted rows from the files; returns the reason if data may remain."""
 
-    @abstractmethod
     def load(self, table: Table, key: Key) -> Row | None:
         """A row, or None."""
+        with self._door:
+            found = self._fetch(table, key)
+        return None if found is None else decode_row(table, found)
 
     def write(self, before: Mark, after: Mark, rows: RowChanges) -> bool:
         """Write new and changed rows, all or none; False if the tables are not at ``before``."""
@@ -92,8 +96,8 @@ class AuditDatabase(ABC):
             self._note(after)
         return True
 
-    @abstractmethod
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self._connection.close()
 
     # -- internal ----------------------------------------------------------------------------
 
@@ -110,15 +114,25 @@ class AuditDatabase(ABC):
     def _write_transaction(self) -> AbstractContextManager[None]:
         """A transaction that writes."""
 
-    @abstractmethod
-    def _execute(self, statement: str) -> object: ...
-
-    @abstractmethod
     def _version(self) -> int:
         """The version of the tables; 0 if there are none."""
+        found = self._execute(f"SELECT version FROM {self._state}").fetchone() if self._has_state() else None
+        return 0 if found is None else int(found[0])
+
+    def _mark(self) -> Mark:
+        return Mark(*self._execute(f"SELECT lab, position, hash, at_s FROM {self._state}").fetchone())
 
     @abstractmethod
-    def _mark(self) -> Mark: ...
+    def _execute(self, statement: str) -> Any:
+        """A cursor with the answer."""
+
+    @abstractmethod
+    def _has_state(self) -> bool:
+        """Whether the table of the state exists."""
+
+    @abstractmethod
+    def _fetch(self, table: Table, key: Key) -> Any:
+        """The values of a row, or None."""
 
     @abstractmethod
     def _note(self, mark: Mark) -> None: ...

@@ -8,6 +8,7 @@ LabOS divides texts into words (``labos.audit.words``), both find the same.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -134,37 +135,35 @@ def _write_conditions(asker: ReadConnection, question: SearchQuery) -> tuple[str
     for kind in question.kind:
         if kind not in KINDS:
             raise BadInput(f"There is no kind of entry {kind!r}.", remedy=f"Use one of {', '.join(KINDS)}.")
-    parts: list[str] = []
-    values: list[Any] = []
+    parts: list[tuple[str, Sequence[Any]]] = []
     terms = _split_terms(question.words)
     if terms and asker.dialect == "postgresql":
-        parts.append(f"{write_vector(ENTRIES)} @@ ?::tsquery")
-        values.append(" & ".join(f"'{word}'{':*' if begins else ''}" for word, begins in terms))
+        wanted = " & ".join(f"'{word}'{':*' if begins else ''}" for word, begins in terms)
+        parts.append((f"{write_vector(ENTRIES)} @@ ?::tsquery", [wanted]))
     elif terms:
         index = words_name(ENTRIES)
         bare = index.strip('"')
-        parts.append(f"number IN (SELECT rowid FROM labos.{index} WHERE {bare} MATCH ?)")
-        values.append(" AND ".join(f'"{word}"{" *" if begins else ""}' for word, begins in terms))
+        wanted = " AND ".join(f'"{word}"{" *" if begins else ""}' for word, begins in terms)
+        parts.append((f"number IN (SELECT rowid FROM labos.{index} WHERE {bare} MATCH ?)", [wanted]))
     for name in ("kind", "user", "workcell", "workflow", "experiment", "run", "status"):
-        if wanted := getattr(question, name):
-            column = "user_id" if name == "user" else name
-            parts.append(f"{column} IN ({', '.join('?' * len(wanted))})")
-            values += wanted
+        if one_of := getattr(question, name):
+            parts.append((f"{'user_id' if name == 'user' else name} IN ({_write_marks(one_of)})", one_of))
     if question.keyword:
-        marks = ", ".join("?" * len(question.keyword))
-        parts.append(f"EXISTS (SELECT 1 FROM {_write_keywords(asker)} WHERE {_KEYWORD} IN ({marks}))")
-        values += question.keyword
+        is_one = f"{_KEYWORD} IN ({_write_marks(question.keyword)})"
+        parts.append((f"EXISTS (SELECT 1 FROM {_write_keywords(asker)} WHERE {is_one})", question.keyword))
     if question.since:
-        parts.append("at_s >= ?")
-        values.append(question.since / 1e9)
+        parts.append(("at_s >= ?", [question.since / 1e9]))
     if question.until:
-        parts.append("at_s < ?")
-        values.append(question.until / 1e9)
+        parts.append(("at_s < ?", [question.until / 1e9]))
     if question.hidden:
-        marks = ", ".join("?" * len(question.hidden))
-        parts.append(f"run NOT IN (SELECT run FROM runs WHERE campaign IN ({marks}))")
-        values += question.hidden
-    return " AND ".join(parts) or "1 = 1", values
+        hidden = f"SELECT run FROM runs WHERE campaign IN ({_write_marks(question.hidden)})"
+        parts.append((f"run NOT IN ({hidden})", question.hidden))
+    values = [value for _, own in parts for value in own]
+    return " AND ".join(condition for condition, _ in parts) or "1 = 1", values
+
+
+def _write_marks(values: Sequence[Any]) -> str:
+    return ", ".join("?" * len(values))
 
 
 def _split_terms(text: str) -> list[tuple[str, bool]]:

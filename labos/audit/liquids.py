@@ -94,12 +94,9 @@ def _list_steps_before(asker: ReadConnection, wanted: str, upto: int) -> dict[st
             continue
         labware, _, well = name.rpartition("/")
         found[name] = asker.fetch(_STEPS, labware, well, upto)
-        waiting += [source for step in found[name] if (source := _find_source(labware, *step[2:5]))]
+        liquids = [liquid for _, _, kind, _, liquid, *_ in found[name] if kind == "in"]
+        waiting += filter(None, (find_source_well(labware, liquid) for liquid in liquids))
     return found
-
-
-def _find_source(labware: str, kind: str, volume: float | None, liquid: str) -> str:
-    return find_source_well(labware, liquid) if kind == "in" else ""
 
 
 def _take(
@@ -112,7 +109,7 @@ def _take(
     certain: bool,
 ) -> None:
     held = wells[name]
-    source = _find_source(name.rpartition("/")[0], kind, volume, liquid)
+    source = find_source_well(name.rpartition("/")[0], liquid) if kind == "in" else ""
     if kind == "sheet":
         wells[name] = Mixture()
         wells[name].add((Entity("sample", liquid), liquid), volume, certain=True)

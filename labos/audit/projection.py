@@ -21,6 +21,7 @@ from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
 from labos.core.envelope import Record
+from labos.core.labware import SamplesRegistered
 from labos.core.registry import TYPES, Event, list_handlers
 from labos.ports import BlobStore
 from labos.services.log import decode_event
@@ -64,10 +65,10 @@ class Projection:
         rows.add(EVENTS, *about, *named, head.id)
         for handler in _HANDLERS[kind]:
             handler(rows, event, head, at)
-        if kind in _liquids.SHEETS:
-            before = _entries.samples_of(rows, event.labware)  # type: ignore[attr-defined]
+        if isinstance(event, SamplesRegistered):
+            before = _entries.samples_of(rows, event.labware)
             _liquids.on_samples_registered(rows, event, head, at, self.blobs)
-            _entries.on_samples_registered(rows, event, head, at, before)  # type: ignore[arg-type]
+            _entries.on_samples_registered(rows, event, head, at, before)
         _people.note_actor(rows, head, at)
         for name in list_touched(rows, event):
             rows.add(TOUCHES, name, head.position)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import Any, Literal
+from typing import Literal
 
 from labos.audit._causes import CAUSES
 from labos.audit._effects import EFFECTS
 from labos.audit._facts import facts_of
+from labos.audit._links import find_links
 from labos.audit.graph import Entity, EntityKind, Graph, ProvenanceLink, well_of
 from labos.audit.liquids import trace_contents
 from labos.audit.query import ReadConnection
@@ -77,35 +78,31 @@ def trace(
     """The causes of an entity (up), or its effects (down), with the contents of a well. Only earlier events
     count as causes: an action on a plate after a reading is not a cause of the reading."""
     graph = Graph(subject, upto)
-    seen = {subject: 0 if direction == "down" else upto}
-    links: dict[ProvenanceLink, bool] = {}
+    up = direction == "up"
+    links = CAUSES if up else EFFECTS
+    seen = {subject: upto if up else 0}
+    found: dict[ProvenanceLink, bool] = {}
     waiting = [(subject, seen[subject])]
     while waiting and graph.whole:
         entity, bound = waiting.pop(0)
-        for link, limit in _find_next(asker, entity, bound, upto, direction):
-            other = link.cause if direction == "up" else link.effect
-            if link.position <= upto and link not in links:
-                links[link] = True
-                if len(links) >= most:
+        since, until = (0, bound) if up else (bound, upto)
+        for relation, other, position, limit in find_links(asker, entity, links, since, until):
+            cause, effect = (other, entity) if up else (entity, other)
+            link = ProvenanceLink(effect, relation, cause, position)
+            if position <= upto and link not in found:
+                found[link] = True
+                if len(found) >= most:
                     graph.whole = False
                     break
             known = seen.get(other)
-            further = known is None or (limit > known if direction == "up" else limit < known)
-            if further and link.position <= upto:
+            further = known is None or (limit > known if up else limit < known)
+            if further and position <= upto:
                 seen[other] = limit
                 waiting.append((other, limit))
-    graph.links = sorted(links, key=lambda link: (link.position, str(link.effect), str(link.cause)))
+    graph.links = sorted(found, key=lambda link: (link.position, str(link.effect), str(link.cause)))
     if subject.kind == "well":
         graph.contents = trace_contents(asker, *well_of(subject.name), upto)
     entities = {entity: True for link in graph.links for entity in (link.effect, link.cause)}
     graph.entities = {str(entity): facts_of(asker, entity, upto) for entity in entities}
     graph.facts = graph.entities.get(str(subject)) or facts_of(asker, subject, upto)
     return graph
-
-
-def _find_next(asker: ReadConnection, entity: Entity, bound: int, upto: int, direction: Direction) -> Any:
-    if direction == "up":
-        causes = CAUSES.get(entity.kind)
-        return causes(asker, entity, bound) if causes is not None else ()
-    effects = EFFECTS.get(entity.kind)
-    return effects(asker, entity, bound, upto) if effects is not None else ()

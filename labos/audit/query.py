@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from typing import Any, Protocol
 
@@ -34,12 +34,13 @@ class QueryResult(msgspec.Struct, frozen=True):
 
 
 class ReadConnection(Protocol):
-    """A read-only connection. ``values`` replace each ``?`` in the query, in order."""
+    """A read-only connection. ``values`` replace each ``?`` in the query, in order; ``named`` ones replace
+    ``:name``."""
 
     @property
     def dialect(self) -> Dialect: ...
 
-    def fetch(self, query: str, *values: Any) -> list[Any]:
+    def fetch(self, query: str, *values: Any, **named: Any) -> list[Any]:
         """All rows of an internal query, as tuples, without a time limit."""
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
@@ -59,10 +60,8 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnecti
             )
         with TranslatedErrors(parsed):
             lite = _open_sqlite(path.as_uri())
-        try:
+        with closing(lite):
             yield _SqliteAsker(lite, limit_s)
-        finally:
-            lite.close()
         return
     from labos.audit._postgres import connect
 
@@ -71,10 +70,8 @@ def open_asker(url: str, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnecti
         server.execute("SET default_transaction_read_only = on")
         server.execute(f"SET search_path = {VIEW_SCHEMA}, pg_catalog".encode())
         server.execute("SET TIME ZONE 'UTC'")
-    try:
+    with closing(server):
         yield _PostgresAsker(server, limit_s)
-    finally:
-        server.close()
 
 
 # -- SQLite ------------------------------------------------------------------------------------
@@ -115,12 +112,12 @@ class _SqliteAsker:
         self._connection, self._limit_s = connection, limit_s
         self._is_guarded = False
 
-    def fetch(self, query: str, *values: Any) -> list[Any]:
+    def fetch(self, query: str, *values: Any, **named: Any) -> list[Any]:
         if self._is_guarded:  # tables of SQLite's extensions declare themselves, which is no reading
             self._connection.set_authorizer(None)
             self._is_guarded = False
         self._connection.set_progress_handler(None, 0)
-        return self._connection.execute(query, values).fetchall()
+        return self._connection.execute(query, named or values).fetchall()
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:
         end = time.monotonic() + self._limit_s
@@ -154,8 +151,10 @@ class _PostgresAsker:
     def __init__(self, connection: Any, limit_s: float) -> None:
         self._connection, self._limit_s = connection, limit_s
 
-    def fetch(self, query: str, *values: Any) -> list[Any]:
-        found = self._connection.execute(_write_for_postgres(query), values)
+    def fetch(self, query: str, *values: Any, **named: Any) -> list[Any]:
+        for name in named:
+            query = query.replace(f":{name}", f"%({name})s")
+        found = self._connection.execute(query if named else _write_for_postgres(query), named or values)
         return [tuple(_write_moment(value) for value in row) for row in found.fetchall()]
 
     def ask(self, query: str, values: Sequence[Any] = ()) -> QueryResult:

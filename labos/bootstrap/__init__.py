@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from labos.bootstrap._api import ApiSettings as ApiSettings
     from labos.bootstrap._api import open_api as open_api
-    from labos.bootstrap._drivers import Drivers as Drivers
     from labos.bootstrap._drivers import descriptions as descriptions
     from labos.bootstrap._drivers import find_description_path as find_description_path
     from labos.bootstrap._drivers import import_module_beside as import_module_beside
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "_api": ("ApiSettings", "open_api"),
     "_drivers": (
-        *("Drivers", "descriptions", "find_description_path", "import_module_beside", "list_installed"),
+        *("descriptions", "find_description_path", "import_module_beside", "list_installed"),
         *("load_driver", "load_drivers", "shape_of", "source_of"),
     ),
     "_lab": ("open_lab",),

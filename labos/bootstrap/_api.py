@@ -19,8 +19,8 @@ from labos.bootstrap._gate import (
     expect_tls,
     expect_users,
     follow_marks,
+    make_service,
     open_gate,
-    start_viewers,
 )
 from labos.bootstrap._secure import Guard
 from labos.clock import SystemClock, Uuid7Ids
@@ -28,12 +28,9 @@ from labos.core.canonical import digest
 from labos.core.ids import ModuleName
 from labos.core.model import Description
 from labos.errors import BadInput, NotFound
-from labos.http.feed import Feed
-from labos.http.finding import Finder
 from labos.http.letters import Letters
 from labos.http.link import KernelLink
 from labos.http.server import HttpServer
-from labos.http.service import LabService
 from labos.pki import PROCESS_NAME, PartyIdentity
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.ports import BlobStore, Bus
@@ -165,10 +162,7 @@ async def open_api(api_settings: ApiSettings) -> AsyncIterator[ApiRuntime]:
         expect_users(settings, kernel)
         api = ApiRuntime(msgspec.structs.replace(api_settings, lab=settings), kernel, store)
         await _link(api, stack)
-        feed = Feed()
-        kernel.listeners.append(feed)
-        service = LabService(api, feed, start_viewers(settings))
-        service.finder = Finder(settings.database, settings.blobs, settings.home)
+        service = make_service(api, settings)
         service.link = api.link
         service.marks = follow_marks(store, kernel, stack)
         gate = stack.enter_context(open_gate(settings, accounts, kernel, api.counts.signing))

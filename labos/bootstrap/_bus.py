@@ -38,16 +38,12 @@ async def secure_bus(settings: Settings, lab: LabRuntime, modules: Sequence[str]
     BadInput."""
     if not settings.is_secure:
         return None
-
-    def run_here() -> list[str]:
-        return list(lab.supervised.nodes) if lab.supervised is not None else []
-
     lab.guard = Guard(
         PartyIdentity("kernel", lab=lab.kernel.lab),
         settings,
         runs_bus=not settings.bus,
         own=settings.certificate,
-        modules=run_here,
+        modules=lambda: list(lab.supervised.nodes) if lab.supervised is not None else [],
         note_unheard=lab.note_unheard,
     )
     return await asyncio.to_thread(lab.guard.prepare, modules)
@@ -99,19 +95,11 @@ async def open_lab_bus(
     keys = Keys(lab.kernel.lab)
     lab.dispatcher = Dispatcher(lab.kernel, lab.bus)
     lab.registry = Registry(lab.kernel, lab.bus, lab.dispatcher, is_stopping=lab.is_stopping)
-    await lab.dispatcher.start()
-    stack.push_async_callback(lab.dispatcher.close)
     lab.announcer = Announcer(lab.kernel, lab.bus)
-    await lab.announcer.start()
-    stack.push_async_callback(lab.announcer.close)
-    await lab.registry.start()
-    stack.push_async_callback(lab.registry.close)
-    reconciler = Reconciler(lab.kernel, lab.bus)
-    reconciler.start()
-    stack.callback(reconciler.close)
-    verifier = Verifier(lab.kernel, lab.bus)
-    verifier.start()
-    stack.callback(verifier.close)
+    watchers = (Reconciler(lab.kernel, lab.bus), Verifier(lab.kernel, lab.bus))
+    for part in (lab.dispatcher, lab.announcer, lab.registry, *watchers):
+        await part.start()
+        stack.push_async_callback(part.close)
     await lab.bus.serve(keys.setup, lab.on_setup)
     await lab.bus.serve_all(keys.all_setups, lab.on_setup_of)
     await lab.bus.serve(keys.files, FileDesk(lab.blobs, settings.arriving).on_request)

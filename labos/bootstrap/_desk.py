@@ -47,12 +47,9 @@ def make_api_key(settings: Settings) -> bytes:
 def read_api_key(settings: Settings) -> bytes:
     """Raises NotFound."""
     try:
-        found = settings.api_key.read_bytes().strip()
+        found, why = settings.api_key.read_bytes().strip(), " is empty"
     except OSError as error:
-        found = b""
-        why = f": {error.strerror}"
-    else:
-        why = " is empty"
+        found, why = b"", f": {error.strerror}"
     if not found:
         raise NotFound(
             f"The key of API processes, {settings.api_key}{why}.",

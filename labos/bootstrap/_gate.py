@@ -17,10 +17,14 @@ from labos.core.decide.users import AddUser
 from labos.core.users import UserDisabled
 from labos.errors import BadInput, StoreError
 from labos.http.door import WAY_BACK
+from labos.http.feed import Feed
+from labos.http.finding import Finder
 from labos.http.identity import Gate
 from labos.http.lab_kernel import LabKernel
 from labos.http.operation import Api
+from labos.http.parts import Parts
 from labos.http.server import Listening, is_own_address
+from labos.http.service import LabService
 from labos.http.viewers import Viewers
 from labos.private import create_file
 from labos.runtime.kernel import Kernel
@@ -142,10 +146,15 @@ def lay_home_key(settings: Settings, stack: AsyncExitStack) -> str:
     return key
 
 
-def start_viewers(settings: Settings) -> Viewers | None:
-    """The process for clients that follow the log, on systems where a connection can be passed to another
-    process."""
-    return Viewers(settings.database) if sys.platform != "win32" else None
+def make_service(parts: Parts, settings: Settings) -> LabService:
+    """The operations of a lab's HTTP interface, on the parts of this process."""
+    feed = Feed()
+    parts.kernel.listeners.append(feed)
+    # Clients that follow the log have a separate process, where a connection can be passed to one.
+    viewers = Viewers(settings.database) if sys.platform != "win32" else None
+    service = LabService(parts, feed, viewers)
+    service.finder = Finder(settings.database, settings.blobs, settings.home)
+    return service
 
 
 def follow_marks(store: SqlEventStore, kernel: LabKernel, stack: AsyncExitStack) -> Marks:

@@ -90,13 +90,11 @@ class SimulatedHands:
 
     def _do(self, events: Sequence[Event]) -> None:
         """Carry out the acts of people in the events of one command."""
-        answers = [
-            event for event in _list_events(events, InterventionResolved) if event.choice != "withdrawn"
-        ]
+        answers = [each for each in _list_events(events, InterventionResolved) if each.choice != "withdrawn"]
         if answers:
             for answer in answers:
                 self._put_right(answer, events)
-        elif any(True for _ in _list_events(events, AccessEnded)):
+        elif any(isinstance(event, AccessEnded) for event in events):
             self._change_stations(events)
         elif not any(isinstance(event, StationObserved | StationsChecked) for event in events):
             # A person who only observed or counted has moved nothing.
@@ -136,6 +134,7 @@ class SimulatedHands:
 
     def _unload(self, events: Sequence[Event]) -> None:
         plates: list[tuple[World, str]] = []
+        stations = self._state.bench.stations
         for event in events:
             match event:
                 case LabwareRemoved() if not (event.run or event.action):
@@ -144,10 +143,7 @@ class SimulatedHands:
                         world = self._find_world(place)
                         plates.append((world, _plate_of(world, self._state, event.labware)))
                 case StationUnloaded():
-                    world, station = (
-                        self._find_world(event.station),
-                        self._state.bench.stations[event.station],
-                    )
+                    world, station = self._find_world(event.station), stations[event.station]
                     if station.spec.kind != "waste":
                         top = len(station.stock)
                         nameless = world.at(local(event.station))[top - event.count : top]

@@ -23,8 +23,8 @@ from labos.bootstrap._gate import (
     follow_marks,
     give_first_password,
     lay_home_key,
+    make_service,
     open_gate,
-    start_viewers,
 )
 from labos.bootstrap._hands import SimulatedHands
 from labos.bootstrap._metrics import LabMetrics
@@ -39,12 +39,10 @@ from labos.core.decide.shorter import ReportShorterLog
 from labos.core.ids import local
 from labos.core.lab import WHOLE_LAB
 from labos.core.shorter import BenchCompared
+from labos.core.structs import make_from
 from labos.errors import BadInput, Fenced, StoreError
 from labos.http.campaign_rows import CampaignRows
-from labos.http.feed import Feed
-from labos.http.finding import Finder
 from labos.http.server import HttpServer
-from labos.http.service import LabService
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.private import make_folder
 from labos.runtime.feeder import Feeder
@@ -119,12 +117,14 @@ async def open_lab(
         expect_users(settings, kernel)
         lab.metrics = LabMetrics(lab, writer)
         lab.metrics.traces = await stack.enter_async_context(send_traces(settings, kernel))
-        stack.push_async_callback(lab.metrics.close)
+        stack.push_async_callback(lab.metrics.unattended.close)
         lab.blobs.tidy()
         _check_pace(settings, kernel)
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
-        _hear_journals(settings, store, kernel)
+        # Before anything can start: the journals may have actions that the log does not have.
+        for module, found, beyond in find_untold(store, settings.journals):
+            kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
         # The next start does not ask about the same loss again.
         kernel.listeners.append(OnEvents((BenchCompared,), lambda _: store.accept_end()))
         await kernel.begin_planning()
@@ -134,10 +134,7 @@ async def open_lab(
         await open_lab_bus(
             settings, lab, stack, security, math.inf if follower is not None else BUS_PATIENCE_S
         )
-        feed = Feed()
-        kernel.listeners.append(feed)
-        lab.service = LabService(lab, feed, start_viewers(settings))
-        lab.service.finder = Finder(settings.database, settings.blobs, settings.home)
+        lab.service = make_service(lab, settings)
         http_port = choose_port(settings, settings.http_port, last_ports(settings.home).http)
         lab.gate = stack.enter_context(
             open_gate(
@@ -155,7 +152,7 @@ async def open_lab(
         stack.push_async_callback(lab.http.close)
         await stack.enter_async_context(serve_api_processes(settings, lab))
         feeder = Feeder(kernel, CampaignRows(lab.service).propose)
-        feeder.start()
+        await feeder.start()
         stack.push_async_callback(feeder.close)
         watching = asyncio.get_running_loop().create_task(lab.service.miss_silent())
         stack.callback(watching.cancel)
@@ -167,7 +164,7 @@ async def open_lab(
             lab.start_nodes(detach=detach)
         lab.log_check = _check_log(settings, kernel)
         lab.log_check.start()
-        lab.metrics.start()
+        lab.metrics.unattended.start()
         stack.push_async_callback(lab.log_check.close)
         try:
             yield lab
@@ -242,11 +239,11 @@ async def _open_kernel(
 ) -> tuple[Kernel, ThreadWriter]:
     owner = f"pid {os.getpid()} on {socket.gethostname()}"
     after, within_s = settings.failures_borne
-    chosen = KernelSettings(
-        name=settings.name,
+    chosen = make_from(
+        KernelSettings,
+        settings,
         pace=settings.speed or 1.0,
         owner=owner,
-        reopen_s=settings.reopen_s,
         quarantine_after=after,
         quarantine_within_s=within_s,
     )
@@ -274,13 +271,6 @@ def _is_simulated(settings: Settings) -> bool:
     return wanted
 
 
-def _hear_journals(settings: Settings, store: SqlEventStore, kernel: Kernel) -> None:
-    """Read the journals in the lab's folder before anything can start: they may have actions that the log
-    does not have."""
-    for module, found, beyond in find_untold(store, settings.journals):
-        kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
-
-
 def _check_pace(settings: Settings, kernel: Kernel) -> None:
     pace = kernel.state.lab.pace
     if settings.speed is not None and settings.speed != pace:
@@ -295,7 +285,7 @@ def _make_info(settings: Settings, lab: LabRuntime) -> KernelInfo:
     remember_ports(settings.home, Ports(lab.http.port, own_bus))
     return KernelInfo(
         pid=os.getpid(),
-        url=lab.http_url,
+        url=lab.http.url,
         bus=lab.bus_endpoint,
         lab=lab.kernel.lab,
         database=settings.database,

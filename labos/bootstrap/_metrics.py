@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labos.bootstrap._unattended import UnattendedMeter
 from labos.core.ids import local, workcell_of
 from labos.errors import StoreError
+from labos.store import find_database_file, measure_database
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.otlp import OtlpSender
 
@@ -28,20 +27,12 @@ class LabMetrics:
     def __init__(self, lab: LabRuntime, writer: ThreadWriter) -> None:
         self._lab, kernel = lab, lab.kernel
         self._started_at = kernel.clock.now_ns() / 1e9
-        self._files = _files_of(lab.settings.database)
         self.all = KernelMetrics(lambda: kernel.state)
         self.all.of_events.begin_with(kernel.state)
         self.unattended = UnattendedMeter(lab.store, kernel.clock, lambda: kernel.durable)
         kernel.on_turn = self.all.of_events.turn_s.observe
         writer.on_commit = self.all.of_events.commit_s.observe
         kernel.listeners += [self.all.of_events, self.unattended]
-
-    def start(self) -> None:
-        """Begin to read the past events."""
-        self.unattended.start()
-
-    async def close(self) -> None:
-        await self.unattended.close()
 
     def text(self) -> str:
         """All metrics now, in Prometheus' text format."""
@@ -81,7 +72,7 @@ class LabMetrics:
         return found
 
     def _read_process(self) -> None:
-        lab, kernel = self._lab, self._lab.kernel
+        lab, kernel, database = self._lab, self._lab.kernel, self._lab.settings.database
         state, check, bus = kernel.state, lab.log_check, lab.bus.traffic
         disk = shutil.disk_usage(lab.settings.home)
         self.all.of_process.update(
@@ -96,7 +87,8 @@ class LabMetrics:
             unwritten=max(state.position - kernel.durable, 0),
             checked=check.checked if check is not None else 0,
             damaged=bool(check.damage) if check is not None else False,
-            store_bytes=self._files() if self._files is not None else None,
+            # A server would have to be asked.
+            store_bytes=measure_database(database) if find_database_file(database) is not None else None,
             disk_free=disk.free,
             disk_size=disk.total,
             queries=bus.queries,
@@ -108,13 +100,3 @@ class LabMetrics:
             spans_sent=self.traces.taken if self.traces is not None else 0,
             faults=kernel.fault_count,
         )
-
-
-def _files_of(database: str) -> Callable[[], int] | None:
-    """A function for the size in bytes of a SQLite database with its write-ahead log; None for another
-    database."""
-    if not database.startswith("sqlite"):
-        return None
-    file = Path(database.partition(":///")[2])
-    files = [file, file.with_name(f"{file.name}-wal")]
-    return lambda: sum(path.stat().st_size for path in files if path.exists())

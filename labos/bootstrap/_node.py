@@ -103,7 +103,7 @@ async def run_node(
         if joined is None:
             return
         bus, security, belongs_to = joined
-        known = journal.lab or belongs_to or _lab_of(settings, connect)
+        known = journal.memory.lab or belongs_to or _lab_of(settings, connect)
         check_lab(module, known, belongs_to)
         lab = await ends.wait_unless_stopped(find_lab(bus, module, known))
         reply = (

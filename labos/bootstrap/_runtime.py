@@ -82,10 +82,6 @@ class LabRuntime:
         self._detach = False
         self._following: set[asyncio.Task[None]] = set()
 
-    @property
-    def http_url(self) -> str:
-        return self.http.url
-
     def world(self, workcell: str) -> World:
         """The simulated bench of a workcell."""
         if workcell not in self._worlds:
@@ -93,12 +89,10 @@ class LabRuntime:
             self._worlds[workcell] = World(str(self.settings.world(workcell)))
         return self._worlds[workcell]
 
-    async def apply(
-        self, cell: CompiledWorkcell, *, declare: bool | None = None, actor: str = "labos"
-    ) -> None:
+    async def apply(self, cell: CompiledWorkcell, *, declare: bool | None = None) -> None:
         """Set up a workcell. By default, its stock is declared on a simulated bench, but not on a real
         one."""
-        await self.service.apply(cell, actor, declare=self.simulated if declare is None else declare)
+        await self.service.apply(cell, "labos", declare=self.simulated if declare is None else declare)
 
     def start_nodes(self, *, detach: bool = False) -> None:
         """Start a process for each module of the applied workcells (``only``: for these)."""
@@ -148,11 +142,12 @@ class LabRuntime:
         spec = self.kernel.state.modules.by_name[module].spec
         # A foreign node has no driver's description.
         driver = [] if "about" in spec.config else [spec.driver]
+        endpoints = self.settings.bus or (self.bus_endpoint,)
         return (
             *(sys.executable, "-m", "labos", "node", "start", *driver),
             *("--name", local(module), "--workcell", workcell_of(module)),
             *("--home", str(self.settings.home)),
-            *(word for endpoint in self._endpoints for word in ("--connect", endpoint)),
+            *(word for endpoint in endpoints for word in ("--connect", endpoint)),
             *(["--cert", str(self.guard.find_node_folder(module))] if self.guard is not None else []),
             *(["--simulate"] if self.simulated else []),
             *(["--wire"] if self.simulated and self.settings.wire else []),
@@ -160,10 +155,6 @@ class LabRuntime:
             *(["--metrics-port", "0"] if self.settings.node_metrics else []),
             *([] if detach else ["--with-parent"]),
         )
-
-    @property
-    def _endpoints(self) -> tuple[str, ...]:
-        return self.settings.bus or (self.bus_endpoint,)
 
     def note_unheard(self, unheard: Unheard) -> None:
         """Note which modules' nodes are connected but do not answer, and clear those that do."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from types import TracebackType
 from typing import Any
 
@@ -44,8 +46,16 @@ class LabThread:
         self.settings = settings
         self.failure: LabosError | None = None
         self.failed = threading.Event()
-        self._workcells, self._nodes, self._detach = workcells, nodes, detach
-        self._declare, self._grace_s, self._standby = declare, grace_s, standby
+        self._open_lab = partial(
+            open_lab,
+            settings,
+            workcells=workcells,
+            nodes=nodes,
+            detach=detach,
+            declare=declare,
+            grace_s=grace_s,
+        )
+        self._standby = standby
         self.replaced = ""
         """The kernel that this one has replaced."""
         self._opened, self._ended = threading.Event(), threading.Event()
@@ -58,7 +68,7 @@ class LabThread:
 
     @property
     def url(self) -> str:
-        return self.runtime.http_url
+        return self.runtime.http.url
 
     @property
     def runtime(self) -> LabRuntime:
@@ -122,12 +132,10 @@ class LabThread:
                 if supervisor is not None:
                     self._call_in_loop(supervisor.hurry)
 
-    def _call_in_loop(self, function: object) -> None:
-        if self._loop is not None and callable(function):
-            try:
+    def _call_in_loop(self, function: Callable[[], object]) -> None:
+        if self._loop is not None:
+            with suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(function)
-            except RuntimeError:
-                pass  # it has ended by itself
 
     def _main(self) -> None:
         try:
@@ -151,25 +159,15 @@ class LabThread:
                     return
                 try:
                     await self._serve(standby.follower)
-                except (
-                    Refused,
-                    StoreUnavailable,
-                ) as error:  # another standby was faster, or the database is away
+                except (Refused, StoreUnavailable) as error:
+                    # Another standby was faster, or the database is away.
                     if self._lab is not None:
                         raise
                     _log.info("not_taken_over", why=str(error))
 
     async def _serve(self, follower: Follower | None) -> None:
         assert self._end is not None
-        async with open_lab(
-            self.settings,
-            workcells=self._workcells,
-            nodes=self._nodes,
-            detach=self._detach,
-            declare=self._declare,
-            grace_s=self._grace_s,
-            follower=follower,
-        ) as lab:
+        async with self._open_lab(follower=follower) as lab:
             self._lab = lab
             self._opened.set()
             end = asyncio.ensure_future(self._end.wait())

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 import structlog
 
 from labos.clock import Clock
+from labos.core.envelope import Record
 from labos.errors import LabosError
 from labos.runtime.ledger import Entry
 from labos.services.log import Log, decode_event
@@ -62,7 +63,7 @@ class UnattendedMeter:
             self._recent.extend(entries)
         else:
             for entry in entries:
-                _add(self.meter, entry)
+                _add(self.meter, entry.record)
 
     def on_reopened(self) -> None:
         """There may be events that no listener has received: read everything again."""
@@ -82,7 +83,7 @@ class UnattendedMeter:
             return
         for entry in self._recent:
             if entry.position > after:
-                _add(meter, entry)
+                _add(meter, entry.record)
         self._recent.clear()
         self.meter = meter
 
@@ -94,16 +95,12 @@ class UnattendedMeter:
     def _read_page(self, meter: Meter, after: int) -> int:
         for record in self._log.read(after, after + PAGE):
             after = record.head.position
-            if record.head.type in HEARD:
-                meter.add(decode_event(record), record.head)
-            else:
-                meter.pass_time(record.head.recorded_at)
+            _add(meter, record)
         return after
 
 
-def _add(meter: Meter, entry: Entry) -> None:
-    head = entry.record.head
-    if head.type in HEARD:
-        meter.add(entry.event, head)
+def _add(meter: Meter, record: Record) -> None:
+    if record.head.type in HEARD:
+        meter.add(decode_event(record), record.head)
     else:
-        meter.pass_time(head.recorded_at)
+        meter.pass_time(record.head.recorded_at)

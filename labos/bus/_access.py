@@ -86,9 +86,10 @@ def _list_rules(who: PartyIdentity) -> Iterator[Rule]:
             yield from _list_node_rules(keys, who.name)
         case "kernel":
             yield from _list_kernel_rules(keys)
-        case "api" if PROCESS_NAME.fullmatch(who.name):
-            yield from _allow_seeing(keys.kernel)
-            yield from _allow_asking(keys.requests_of(who.name, "*"))
+        case "api":
+            if PROCESS_NAME.fullmatch(who.name):
+                yield from _allow_seeing(keys.kernel)
+                yield from _allow_asking(keys.requests_of(who.name, "*"))
         case "viewer":
             yield from _allow_hearing(f"{keys.root}/**", keys.events("**"))
             yield from _allow_seeing(keys.all_alive, ANY_KERNEL)

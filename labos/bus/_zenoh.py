@@ -11,6 +11,7 @@ import asyncio
 import atexit
 import weakref
 from collections.abc import Awaitable, Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import structlog
@@ -86,20 +87,16 @@ class ZenohBus:
         await self._wait_until_ready()
         self.traffic.queries += 1
         replies: list[Any] = []
-        settled: asyncio.Future[None] = self._loop.create_future()
-
-        def settle() -> None:
-            if not settled.done():
-                settled.set_result(None)
+        settled = asyncio.Event()
 
         def on_reply(reply: Any) -> None:
             if not replies:  # the first answer counts; a faulty process may send thousands
                 replies.append(reply)
-                self._hand_over(settle)
+                self._hand_over(settled.set)
 
         def on_end() -> None:
             if not replies:
-                self._hand_over(settle)
+                self._hand_over(settled.set)
 
         try:
             self._session.get(
@@ -114,11 +111,9 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"The query to {key!r} could not be sent: {reason_of(error)}.") from error
         # Zenoh has its own time-out; this one is for a session that has died.
-        late = self._loop.call_later(timeout_s + 0.5, settle)
-        try:
-            await settled
-        finally:
-            late.cancel()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(timeout_s + 0.5):
+                await settled.wait()
         try:
             return _answer(key, replies, timeout_s)
         except NoAnswer:
@@ -278,27 +273,15 @@ class ZenohBus:
 
     async def _round_trip(self) -> None:
         """Wait until the router has received this session's earlier declarations: it answers in order."""
-        done: asyncio.Future[None] = self._loop.create_future()
-
-        def settle() -> None:
-            if not done.done():
-                done.set_result(None)
-
-        self._session.liveliness().get(
-            ROUND_TRIP,
-            Callback(lambda _: None, lambda: self._hand_over(settle), indirect=False),
-            timeout=1.0,
-        )
-        try:
-            await asyncio.wait_for(done, 1.5)
-        except TimeoutError:
-            pass
+        done = asyncio.Event()
+        answered: Any = Callback(lambda _: None, lambda: self._hand_over(done.set), indirect=False)
+        self._session.liveliness().get(ROUND_TRIP, answered, timeout=1.0)
+        with suppress(TimeoutError):
+            await asyncio.wait_for(done.wait(), 1.5)
 
     def _hand_over(self, function: Callable[..., object], *args: Any) -> None:
-        try:
+        with suppress(RuntimeError):  # the loop has been closed; there is no task to inform
             self._loop.call_soon_threadsafe(function, *args)
-        except RuntimeError:
-            pass  # the loop has been closed; there is no task to inform
 
     def _check_open(self) -> None:
         if self._closed:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import click
 
@@ -13,7 +13,6 @@ from labos.audit.projector import Projector
 from labos.audit.query import TIME_LIMIT_S, ReadConnection, open_asker
 from labos.cli._query import Where, open_database
 from labos.services.shown import ShownLog
-from labos.settings import Settings
 from labos.store import SqlEventStore, find_sqlite_path, open_blobs
 
 SHOWN_FROM = 20_000
@@ -23,13 +22,9 @@ SHOWN_FROM = 20_000
 @contextmanager
 def open_projector(where: Where) -> Iterator[tuple[SqlEventStore, AuditDatabase, Projector]]:
     """The log, its audit tables, and the projector that updates them."""
-    with open_database(where) as store:
-        database = open_audit(where.url)
-        try:
-            blobs = open_blobs(Settings.make(where.home, where.url).blobs)
-            yield store, database, Projector(ShownLog(store), database, blobs)
-        finally:
-            database.close()
+    with open_database(where) as store, closing(open_audit(where.url)) as database:
+        blobs = open_blobs(where.settings.blobs)
+        yield store, database, Projector(ShownLog(store), database, blobs)
 
 
 @contextmanager

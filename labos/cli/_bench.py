@@ -8,13 +8,13 @@ from labos.cli._complete import make_completer
 from labos.cli._options import (
     Asker,
     asker_options,
-    find_user,
     home_option,
     json_option_saying,
     user_option,
     why_option,
 )
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, report_done
+from labos.core.ids import local
 
 
 @click.command("observe")
@@ -23,7 +23,7 @@ from labos.cli._out import end_with_json
 @json_option_saying("Print the consequences as JSON, for programs.")
 @user_option
 @home_option
-def observe(station: str, what: str, as_json: bool, user: str | None, home: str | None) -> None:
+def observe(station: str, what: str, user: str, home: str | None) -> None:
     """Report an observation at STATION. WHAT is `empty`, the number of pieces, an id or barcode of labware,
     or a labware type. Without WHAT you report that something stands there.
 
@@ -38,11 +38,10 @@ def observe(station: str, what: str, as_json: bool, user: str | None, home: str 
     labos observe sciclops.tower1 4
     """
     from labos.cli._lab import need_lab
-    from labos.core.ids import local
 
     with need_lab(home) as client:
-        follows = client.observe(station, what, find_user(user))
-    end_with_json(follows, as_json)
+        follows = client.observe(station, what, user)
+    end_with_json(follows)
     for labware, place in follows["found"].items():
         click.echo(f"{labware} stands at {local(place)}.")
     for labware in follows["gone"]:
@@ -89,4 +88,4 @@ def give(labware: str, to: str, name: str, force: bool, why: str, asker: Asker) 
         owner = f"{to}:{name}" if name else to
         client.give(labware, owner, asker.user, force=force, note=why)
     message = f"{labware} belongs to {f'{to} {name}' if name else 'everybody'}."
-    asker.report(message, {"labware": labware, "owner": owner})
+    report_done(message, {"labware": labware, "owner": owner})

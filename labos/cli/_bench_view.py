@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import click
 import msgspec
 
-from labos.cli._out import show_table
+from labos.cli._out import count_each, show_lines, show_table
 from labos.core.envelope import Record
 from labos.core.ids import local
 from labos.core.state import LabState
@@ -42,8 +43,7 @@ class BenchView(msgspec.Struct, frozen=True):
 def read_bench(store: SqlEventStore, path: Path) -> BenchView:
     """Read a bench that has a file. Bench and log cannot be read at the same moment: a difference counts only
     if it is still there after a moment without motion and without new events."""
-    world = World(str(path))
-    try:
+    with closing(World(str(path))) as world:
         for _ in range(TRIES):
             position = store.head().position
             before = world.last_motion(), position
@@ -55,8 +55,6 @@ def read_bench(store: SqlEventStore, path: Path) -> BenchView:
             if before == (world.last_motion(), store.head().position):
                 break
         return sight
-    finally:
-        world.close()
 
 
 def _compare(world: World, workcell: str, state: LabState, records: list[Record]) -> BenchView:
@@ -96,15 +94,14 @@ def _list_possible(state: LabState, plates: dict[str, str], there: dict[str, lis
 
 def show(sight: BenchView) -> None:
     """The bench as a table, and whether the log agrees."""
-    rows = [(_place(place), _count_kinds(plates)) for place, plates in sight.places.items()]
-    rows += [("on the floor", _count_kinds(sight.fallen))] if sight.fallen else []
+    rows = [(_place(place), count_each(plates)) for place, plates in sight.places.items()]
+    rows += [("on the floor", count_each(sight.fallen))] if sight.fallen else []
     show_table(("place", "what is there"), rows, title=f"The simulated bench of {sight.workcell}")
     if sight.agrees:
         click.echo(f"The log agrees (after event {sight.position}).")
     else:
         click.echo(f"The log differs (after event {sight.position}):")
-        for found in sight.differs:
-            click.echo(f"- {found}")
+        show_lines(sight.differs, "- ")
     if sight.asked:
         click.echo(f"A person is asked: {', '.join(sight.asked)} (labos interventions).")
 
@@ -113,8 +110,3 @@ def _place(place: str) -> str:
     if place.startswith(HAND):
         return f"in the hand of {place.removeprefix(HAND)}"
     return f"on {place.removeprefix(LID)}" if place.startswith(LID) else place
-
-
-def _count_kinds(plates: tuple[str, ...]) -> str:
-    counts = {kind: plates.count(kind) for kind in plates}
-    return ", ".join(kind if number == 1 else f"{number} × {kind}" for kind, number in counts.items())

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime, time, timedelta
 from typing import Any
 
 from labos.cli._out import show_table
+from labos.cli._when import to_ns
 from labos.core.ids import local
-from labos.core.recurrence import SECOND_NS, find_zone, in_zone
+from labos.core.recurrence import in_zone
 
 WIDTH = 80
 BAR = 24
@@ -58,15 +59,13 @@ def list_week(times: Sequence[Mapping[str, Any]], first_day: datetime, days: int
     yield f"{f'{first_day:%G week %V}, {zone}'[: DAY + NAME - 1]:<{DAY + NAME}}{HOURS}".rstrip()
     for number in range(days):
         day = first_day + timedelta(days=number)
-        begin = _convert_to_ns(datetime(day.year, day.month, day.day, tzinfo=find_zone(zone)))
-        after = day + timedelta(days=1)
-        end = _convert_to_ns(datetime(after.year, after.month, after.day, tzinfo=find_zone(zone)))
+        begin, end = (to_ns(date.date(), time(), zone) for date in (day, day + timedelta(days=1)))
         name = f"{day:%a %d %b}"
-        here = [time for time in times if time["begins_at"] < end and time["ends_at"] > begin]
+        here = [one for one in times if one["begins_at"] < end and one["ends_at"] > begin]
         if not here:
             yield f"{name:<{DAY}}-"
-        for time in here:
-            yield _line(name, time, begin, end, zone)[:WIDTH].rstrip()
+        for one in here:
+            yield _line(name, one, begin, end, zone)[:WIDTH].rstrip()
             name = ""
 
 
@@ -88,7 +87,3 @@ def _draw_bar(time: Mapping[str, Any], begin: int, end: int) -> str:
 
 def _show_clock(at: int, zone: str) -> str:
     return in_zone(at, zone)[11:16]
-
-
-def _convert_to_ns(at: datetime) -> int:
-    return int(at.timestamp()) * SECOND_NS

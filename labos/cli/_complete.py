@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from labos.core.ids import local
+from labos.errors import LabosError
+
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
@@ -119,7 +122,6 @@ class _Lab:
         if not self.where.lab and find_kernel(self.where.home) is None:
             return None
         from labos.client import LabClient
-        from labos.errors import LabosError
 
         try:
             with LabClient(self.where.lab, home=self.where.home, patience_s=PATIENCE_S) as client:
@@ -152,7 +154,5 @@ class _Lab:
 
 def _shorten_names(names: list[str]) -> list[str]:
     """Names without their workcells, where they stay unique."""
-    from labos.core.ids import local
-
     many = Counter(map(local, names))
     return [local(name) if many[local(name)] == 1 else name for name in names]

@@ -10,7 +10,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import show_json, show_lines, show_table, wants_json
 
 if TYPE_CHECKING:
     from labos.spec.description import DescriptionFile, MovesEntry, PlaceEntry
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option("--variant", default="", metavar="NAME", help="Another size of the instrument.")
 @click.option("--urdf", metavar="FOLDER", help="Write a URDF and its meshes into this folder.")
 @json_option
-def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool) -> None:
+def describe_command(driver: str, variant: str, urdf: str | None) -> None:
     """Show the size of DRIVER's instrument, its moving parts, and its places for labware.
 
     DRIVER is an installed driver, a file (shaker.py), or a description.yaml, which is also checked.
@@ -42,12 +42,11 @@ def describe_command(driver: str, variant: str, urdf: str | None, as_json: bool)
         file = variant_of(file, variant)
     if urdf is not None:
         written = _write(Path(urdf), f"{file.driver}_{variant}" if variant else file.driver, file)
-        if as_json:
+        if wants_json():
             show_json({"written": [str(path) for path in written]})
         else:
-            for path in written:
-                click.echo(f"wrote {path}")
-    elif as_json:
+            show_lines(written, "wrote ")
+    elif wants_json():
         show_json(make_plain(file))
     else:
         _show(file)
@@ -106,8 +105,7 @@ def _show_parts(file: DescriptionFile) -> None:
         (name, part.on, _show_three(part.at_mm), _describe_moves(part.moves), part.basis)
         for name, part in file.parts.items()
     ]
-    click.echo()
-    show_table(("part", "on", "at", "moves", "from"), rows)
+    show_table(("part", "on", "at", "moves", "from"), rows, gap=True)
 
 
 def _show_stations(file: DescriptionFile) -> None:
@@ -127,8 +125,7 @@ def _show_stations(file: DescriptionFile) -> None:
         )
         for name, entry in file.stations.items()
     ]
-    click.echo()
-    show_table(("station", "kind", "at", "approach", "from", "note"), rows)
+    show_table(("station", "kind", "at", "approach", "from", "note"), rows, gap=True)
 
 
 def _describe_place(name: str, entry: PlaceEntry, at: Mapping[str, Frame]) -> str:

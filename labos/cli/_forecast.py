@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from labos.cli._out import show_table
+from labos.cli._out import show_lines, show_table
 from labos.services.times import show_span
 
 DELAYS_SHOWN = 10
@@ -56,7 +56,6 @@ def _show_clock(ns: int, now_ns: int) -> str:
 def show_runs(found: Mapping[str, Any]) -> None:
     """The runs of a forecast."""
     now = found["now_at"]
-    has_due = any(run["due_at"] for run in found["runs"])
     rows = [
         (
             run["run"],
@@ -65,16 +64,14 @@ def show_runs(found: Mapping[str, Any]) -> None:
             show_expected(run["starts"], now) or "unknown",
             show_expected(run["ends"], now) or "unknown",
             show_range(run["ends_alone"], now),
-            *([show_due(run, now)] if has_due else []),
+            show_due(run, now),
             run["waits"],
         )
         for run in found["runs"]
     ]
-    due = ["due"] if has_due else []
-    show_table(
-        ("run", "workflow", "user", "starts", "ends", "if no other user submits runs", *due, "waits for"),
-        rows,
-    )
+    alone = "if no other user submits runs"
+    columns = ("run", "workflow", "user", "starts", "ends", alone, "due", "waits for")
+    show_table(columns, rows, optional="due")
     if rows:
         click.echo(describe_learning(found["learned_from"]))
     if found["left_out"]:
@@ -112,8 +109,7 @@ def show_change(found: Mapping[str, Any]) -> None:
         click.echo(f"delays:      {len(delays) - DELAYS_SHOWN} more runs")
     if not delays:
         click.echo("delays:      nobody")
-    for conflict in found["conflicts"]:
-        click.echo(f"conflict:    {conflict}")
+    show_lines(found["conflicts"], "conflict:    ")
 
 
 def show_touches(found: Mapping[str, Any]) -> None:

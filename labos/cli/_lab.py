@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
+from labos.cli._out import show_lines
 from labos.cli._remote import lab_of
 from labos.client import LabClient
 from labos.errors import NotFound
@@ -46,8 +45,7 @@ def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> Compi
 
     uses = None if workflows is None else read_uses(workflows)
     cell = load_workcell(find_workcell_file(name), descriptions(), uses)
-    for finding in cell.findings:
-        click.echo(f"labos: {finding}", err=True)
+    show_lines(cell.findings, "labos: ", err=True)
     return cell
 
 
@@ -93,13 +91,9 @@ def end_in_order() -> Iterator[None]:
 def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str = "") -> Iterator[LabClient]:
     """The lab at an address, or the lab that runs in the home folder; else a lab with these workcells, for as
     long as the block lasts."""
-    if url:
-        with LabClient(url) as client:
-            yield client
-        return
-    running = find_kernel(settings.home)
+    running = LabClient(url) if url else find_lab(str(settings.home))
     if running is not None:
-        with LabClient(home=settings.home) as client:
+        with running as client:
             yield client
         return
     from labos.bootstrap import LabThread
@@ -109,17 +103,21 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str
         yield client
 
 
-def need_lab(home: str | None, token: str = "") -> LabClient:
-    """The lab that LABOS_URL names, else the one that runs in the home folder. It gets this ``token``, by
-    default the stored one. Raises NotFound if no lab runs."""
+def find_lab(home: str | None, token: str = "") -> LabClient | None:
+    """The lab that LABOS_URL names, else the one that runs in the home folder, if one does. It gets this
+    ``token``, by default the stored one."""
     if url := lab_of(home):
         return LabClient(url, token=token)
-    settings = Settings.make(home)
-    if find_kernel(settings.home) is None:
-        raise NotFound(
-            f"No lab runs in {settings.home}.", remedy="Start one with `labos up`, or name its --home."
-        )
-    return LabClient(home=settings.home, token=token)
+    folder = Settings.make(home).home
+    return None if find_kernel(folder) is None else LabClient(home=folder, token=token)
+
+
+def need_lab(home: str | None, token: str = "") -> LabClient:
+    """As ``find_lab``. Raises NotFound if no lab runs."""
+    if (found := find_lab(home, token)) is None:
+        folder = Settings.make(home).home
+        raise NotFound(f"No lab runs in {folder}.", remedy="Start one with `labos up`, or name its --home.")
+    return found
 
 
 def need_lab_of(where: Where) -> LabClient:

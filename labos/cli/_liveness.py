@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
 import msgspec
 
+from labos.cli._lab import find_lab
 from labos.cli._query import Where, now_ns, open_log
-from labos.cli._remote import lab_of
 from labos.core.ids import local
 from labos.core.modules import Module
 from labos.core.state import LabState
 from labos.errors import NotFound, StoreUnavailable
 from labos.ports import Head
 from labos.services.history import fold_state_at
-from labos.services.times import show_time
-from labos.settings import Settings, find_kernel
+from labos.services.log import Log
+from labos.services.times import Moment, show_time
+from labos.settings import Settings
 from labos.store import find_lease_holder
+
+NOW = Moment()
 
 
 def find_lab_now(url: str, head: Head) -> int:
@@ -40,18 +45,27 @@ def say_if_dead(url: str, head: Head, *, last_known: bool = True) -> None:
         click.echo(f"labos: No kernel runs this lab. Its last event was at {when}{ends}", err=True)
 
 
+@contextmanager
+def open_current_log(
+    where: Where, moment: Moment = NOW, *, stored: bool = False, last_known: bool = True
+) -> Iterator[Log]:
+    """As ``open_log``. If no kernel runs the lab, this is reported first (``say_if_dead``), unless a past
+    ``moment`` is shown."""
+    with open_log(where, stored=stored) as store:
+        if moment == NOW:
+            say_if_dead(where.url, store.head(), last_known=last_known)
+        yield store
+
+
 def open_questions(home: str | None) -> list[dict[str, Any]]:
     """The open questions of the running lab; if none runs, those in its log. Raises NotFound if there is no
     log either."""
-    settings = Settings.make(home)
-    if lab_of(home) or find_kernel(settings.home) is not None:
-        from labos.cli._lab import need_lab
-
-        with need_lab(home) as client:
+    if (lab := find_lab(home)) is not None:
+        with lab as client:
             return list(client.state(waits=False)["interventions"])
     from labos.http.views import make_question_view
 
-    state = read_last_state(settings)
+    state = read_last_state(Settings.make(home))
     return [
         msgspec.to_builtins(make_question_view(state, asked)) for asked in state.interventions.open.values()
     ]
@@ -61,8 +75,7 @@ def read_last_state(settings: Settings) -> LabState:
     """The state at the end of the log of a lab without a kernel; it is announced as the last known state.
     Raises NotFound if there is no log."""
     try:
-        with open_log(Where(settings.home, settings.database)) as store:
-            say_if_dead(settings.database, store.head())
+        with open_current_log(Where(settings.home, settings.database)) as store:
             return fold_state_at(store)
     except StoreUnavailable as error:
         raise NotFound(

@@ -7,9 +7,10 @@ from pathlib import Path
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._options import cert_option, file_option, home_option, json_option, pki_option
-from labos.cli._out import report
-from labos.errors import BadInput, SystemFailed
+from labos.cli._options import cert_option, file_option, folder_home_option, json_option, pki_option
+from labos.cli._out import report_done
+from labos.cli._specs import write_new
+from labos.errors import BadInput
 from labos.settings import Settings, last_kernel
 from labos.version import VERSION
 
@@ -40,7 +41,7 @@ from labos.version import VERSION
 )
 @cert_option
 @pki_option
-@home_option
+@folder_home_option
 @json_option
 def install(
     module: str,
@@ -51,7 +52,6 @@ def install(
     cert: Path | None,
     pki: Path | None,
     home: str | None,
-    as_json: bool,
 ) -> None:
     """Write an archive that installs the node of WORKCELL/MODULE on another computer with Linux and systemd:
     program, user, settings, certificate and systemd unit.
@@ -66,7 +66,6 @@ def install(
     ssh sealer-pc 'tar xzf labos-node-rpl-sealer.tar.gz && sudo sh labos-node-rpl-sealer/install.sh'
     """
     from labos.services.node_package import NodePackage, pack_node
-    from labos.store import create_file
 
     workcell, slash, name = module.partition("/")
     if not slash or not name:
@@ -76,14 +75,10 @@ def install(
     requirement = f"labos-sdl[drivers]=={VERSION}"
     data = pack_node(NodePackage(workcell, name, connect, requirement, options, folder, wheels))
     target = file or Path(f"labos-node-{workcell}-{name}.tar.gz")
-    try:
-        with create_file(target) as written:
-            written.write(data)
-    except OSError as error:
-        raise SystemFailed(f"{target} cannot be written: {error}.", remedy="Name another file.") from None
+    write_new(target, data)
     secret = " It holds the node's private key." if folder is not None else ""
     facts = {"module": module, "file": str(target), "secure": folder is not None, "version": VERSION}
-    report(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts, as_json=as_json)
+    report_done(f"{target} installs the node of {module} (LabOS {VERSION}).{secret}", facts)
 
 
 def _certificate(settings: Settings, module: str, connect: str) -> Path | None:

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import msgspec
-from click.core import ParameterSource
 
-from labos.cli._remote import folder_if_needed
+from labos.cli._out import note_json
+from labos.cli._remote import expect_folder, is_given
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ def refuse_password(context: click.Context, option: click.Parameter, url: str | 
     Raises BadInput."""
     from urllib.parse import parse_qs, urlsplit
 
-    given = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
-    parts = urlsplit(url if url and given else "")
+    parts = urlsplit(url if url and is_given(option.name or "") else "")
     if parts.password or "password" in parse_qs(parts.query):
         raise BadInput(
             "The URL after --database has a password, which all users of this computer can read in the list "
@@ -63,12 +62,9 @@ def folder_option(*names: str, metavar: str = "FOLDER", **more: Any) -> Callable
     return click.option(*names, type=click.Path(path_type=Path, file_okay=False), metavar=metavar, **more)
 
 
-home_option = click.option(
-    "--home",
-    metavar="DIR",
-    help="The lab's folder (LABOS_HOME; ./lab if neither is given).",
-    callback=folder_if_needed,
-)
+_HOME_HELP = "The lab's folder (LABOS_HOME; ./lab if neither is given)."
+home_option = click.option("--home", metavar="DIR", help=_HOME_HELP)
+folder_home_option = click.option("--home", metavar="DIR", help=_HOME_HELP, callback=expect_folder)
 database_option = click.option(
     "--database",
     metavar="URL",
@@ -108,10 +104,17 @@ def wait_option(about: str, *, default: bool) -> Callable[[F], F]:
 
 def json_option_saying(about: str) -> Callable[[F], F]:
     """``--json`` with a help text of its own. Errors are also written as JSON then."""
-    return click.option("--json", "as_json", is_flag=True, help=about)
+    return click.option("--json", "as_json", is_flag=True, help=about, expose_value=False, callback=note_json)
 
 
 json_option = json_option_saying("JSON, for programs.")
+quiet_option = click.option("--quiet", is_flag=True, help="Print only the end.")
+simulate_option = click.option(
+    "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
+)
+priority_option = click.option(
+    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
+)
 propose_option = click.option(
     "--propose",
     is_flag=True,
@@ -121,22 +124,16 @@ user_option = click.option(
     "--user",
     envvar="LABOS_USER",
     metavar="NAME",
+    callback=lambda context, option, name: find_user(name),
     help="The requesting user (LABOS_USER; your login if not given).",
 )
 
 
 class Asker(msgspec.Struct, frozen=True):
-    """The lab, the user and the form of the answer: the given options ``--user``, ``--home`` and
-    ``--json``."""
+    """The lab and the user: the given options ``--user`` and ``--home``."""
 
-    name: str | None
+    user: str
     home: str | None
-    as_json: bool
-
-    @property
-    def user(self) -> str:
-        """The user's name."""
-        return find_user(self.name)
 
     def lab(self) -> LabClient:
         """The lab to use. Raises NotFound if none runs."""
@@ -144,37 +141,25 @@ class Asker(msgspec.Struct, frozen=True):
 
         return need_lab(self.home)
 
-    def end_with_json(self, value: Any) -> None:
-        """With ``--json``, show the value and end the command."""
-        from labos.cli._out import end_with_json
 
-        end_with_json(value, self.as_json)
+def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
+    """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
 
-    def report(self, sentence: str, facts: Any) -> None:
-        """Report what a command has done."""
-        from labos.cli._out import report
+    @wraps(command)
+    def wrap(*args: Any, home: str | None, **options: Any) -> Any:
+        return command(*args, asker=Asker(find_user(None), home), **options)
 
-        report(sentence, facts, as_json=self.as_json)
+    return home_option(json_option(wrap))
 
 
 def asker_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """``--user``, ``--home`` and ``--json``; the command gets ``asker: Asker``."""
 
     @wraps(command)
-    def wrap(*args: Any, user: str | None, home: str | None, as_json: bool, **options: Any) -> Any:
-        return command(*args, asker=Asker(user, home, as_json), **options)
+    def wrap(*args: Any, user: str, home: str | None, **options: Any) -> Any:
+        return command(*args, asker=Asker(user, home), **options)
 
     return user_option(home_option(json_option(wrap)))
-
-
-def lab_and_json(command: Callable[..., Any]) -> Callable[..., Any]:
-    """``--home`` and ``--json``; the command gets ``asker: Asker`` without a given user."""
-
-    @wraps(command)
-    def wrap(*args: Any, home: str | None, as_json: bool, **options: Any) -> Any:
-        return command(*args, asker=Asker(None, home, as_json), **options)
-
-    return home_option(json_option(wrap))
 
 
 lab_options = options_together(

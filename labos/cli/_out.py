@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 import shutil
 import sys
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import click
@@ -16,11 +17,25 @@ from labos.services.times import with_iso_times
 
 LONGEST_WORD = 32
 
+_JSON = "labos.cli.json"
 _TIME = re.compile(r"\d{4}-\d\d-\d\d[ T]\d\d:\d\d[\d:.+\-Z]*")
 
 
-def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: str = "") -> None:
-    """Print a table; only a dash if there are no rows."""
+def show_table(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    title: str = "",
+    gap: bool = False,
+    optional: str = "",
+) -> None:
+    """Print a table; only its head if there are no rows. ``gap``: after an empty line. ``optional``: a column
+    that is left out if it is empty."""
+    if optional and not any(row[columns.index(optional)] for row in rows):
+        at = columns.index(optional)
+        columns, *rows = ((*line[:at], *line[at + 1 :]) for line in (columns, *rows))
+    if gap:
+        click.echo()
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape
@@ -39,6 +54,17 @@ def show_table(columns: Sequence[str], rows: Sequence[Sequence[str]], *, title: 
     widths = [max(len(line[at]) for line in lines) for at in range(len(columns))]
     for line in lines:
         click.echo("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip())
+
+
+def count_each(things: Iterable[str]) -> str:
+    """``plate96, 2 × lid96``"""
+    return ", ".join(thing if n == 1 else f"{n} × {thing}" for thing, n in Counter(things).items())
+
+
+def show_lines(lines: Iterable[object], begin: str = "", *, err: bool = False) -> None:
+    """Each on a line of its own, which begins with ``begin``; with ``err`` on standard error."""
+    for line in lines:
+        click.echo(f"{begin}{line}", err=err)
 
 
 def show_parts(parts: Sequence[str]) -> None:
@@ -64,18 +90,26 @@ def show_json(value: Any) -> None:
     click.echo(msgspec.json.format(_encode(value), indent=2))
 
 
-def end_with_json(value: Any, as_json: bool, code: int = 0) -> None:
+def note_json(context: click.Context, option: click.Parameter, value: bool) -> None:
+    """Callback of ``--json``: the functions below know of it, so that no command has to pass it on."""
+    context.meta[_JSON] = value
+
+
+def wants_json() -> bool:
+    """Whether the present command answers in JSON."""
+    return bool(click.get_current_context().meta.get(_JSON))
+
+
+def end_with_json(value: Any, code: int = 0) -> None:
     """With ``--json``, show the value and end the command with this exit code."""
-    if as_json:
+    if wants_json():
         show_json(value)
-        if code:
-            raise SystemExit(code)  # as where a command without --json has found a fault
-        click.get_current_context().exit()
+        click.get_current_context().exit(code)
 
 
-def report(sentence: str, facts: Any, *, as_json: bool) -> None:
+def report_done(sentence: str, facts: Any) -> None:
     """Report what a command has done: a sentence, or its facts as JSON."""
-    if as_json:
+    if wants_json():
         show_json(facts)
     else:
         click.echo(sentence)

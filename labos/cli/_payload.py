@@ -29,8 +29,6 @@ def read_payload(given: Sequence[str]) -> dict[str, Any]:
 
 
 def _read_payload(text: str) -> dict[str, Any]:
-    import yaml
-
     if text.lstrip().startswith("{"):
         return _table(text, "--payload")
     path = Path(text)
@@ -42,14 +40,21 @@ def _read_payload(text: str) -> dict[str, Any]:
             f"--payload {text!r} is neither a file, nor JSON, nor key=value.",
             remedy="Write --payload values.yaml, --payload '{\"x\": 1}' or --payload x=1.",
         )
-    try:
-        found = yaml.safe_load(value)
-    except yaml.YAMLError:
-        found = value
+    found = read_value(value)
     for part in reversed(key.strip().split(".")):
         found = {part: found}
     assert isinstance(found, dict)
     return found
+
+
+def read_value(text: str) -> Any:
+    """A value as in a workflow file; what is not YAML is text."""
+    import yaml
+
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
 
 
 def _table(text: str, name: str) -> dict[str, Any]:

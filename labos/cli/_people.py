@@ -25,13 +25,13 @@ def lab_or_its_folder(home: str | None) -> Iterator[LabClient]:
     """The running lab. If it does not run, it is opened for as long as the block lasts, without nodes, so
     that its first user can be added before other computers reach it. Raises NotFound for a lab that never
     ran."""
-    from labos.cli._lab import need_lab
-    from labos.cli._remote import lab_of
-    from labos.settings import Settings, find_kernel, keep_private, last_kernel
+    from labos.cli._lab import find_lab, need_lab
+    from labos.settings import Settings, keep_private, last_kernel
 
     settings = Settings.make(home)
-    if lab_of(home) or find_kernel(settings.home) is not None or last_kernel(settings.home) is None:
-        with need_lab(home) as client:
+    running = find_lab(home)
+    if running is not None or last_kernel(settings.home) is None:
+        with need_lab(home) if running is None else running as client:
             yield client
         return
     from labos.bootstrap import LabThread

@@ -8,6 +8,9 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, read_result, wait_option, why_option
+from labos.cli._out import end_with_json, report_done, wants_json
+from labos.core.ids import local
+from labos.services.times import parse_until, show_time
 
 if TYPE_CHECKING:
     from labos.client import RunResult
@@ -39,10 +42,10 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
         done = client.control("cancel", target, asker.user, why=why, stay=stay)
         runs = done["runs"] or ([target] if done["kind"] == "run" else [])
         ends = (client.wait(run) if wait else client.status(run) for run in runs)
-        if asker.as_json:
+        if wants_json():
             results = [{"id": end.id, "status": end.status, "why": end.why} for end in ends]
             facts = {"kind": done["kind"], "target": done["target"], "already": done["already"]}
-            asker.end_with_json({**facts, "runs": results})
+            end_with_json({**facts, "runs": results})
         if done["already"]:
             is_one = done["kind"] in ("run", "experiment")
             what = "is already being cancelled" if is_one else "has nothing to cancel"
@@ -55,8 +58,6 @@ def cancel(target: str, wait: bool, stay: bool, why: str, asker: Asker) -> None:
 
 def _describe_end(result: RunResult, *, stay: bool) -> str:
     """The present status of a cancelled run."""
-    from labos.core.ids import local
-
     if result.over:
         return f"{result.id} is {result.status}."
     flying = [
@@ -116,7 +117,7 @@ def _change(verb: str, target: str, asker: Asker, why: str = "") -> None:
     was = " already" if done["already"] else ""
     state = f"is paused{was}" if verb == "pause" else f"goes on{was}"
     facts = {"kind": done["kind"], "target": done["target"], "paused": verb == "pause"}
-    asker.report(f"{_capitalise_first(_target_name(done))} {state}.{_describe_reason(done)}", facts)
+    report_done(f"{_capitalise_first(_target_name(done))} {state}.{_describe_reason(done)}", facts)
 
 
 def _capitalise_first(text: str) -> str:
@@ -150,10 +151,10 @@ def resolve(intervention: str | None, choice: str | None, why: str, result: str 
         with asker.lab() as client:
             client.resolve(intervention, choice, asker.user, why, read_result(result))
         facts = {"id": intervention, "choice": choice}
-        asker.report(f"{intervention} is answered: {choice}.", facts)
+        report_done(f"{intervention} is answered: {choice}.", facts)
         return
     questions = open_questions(asker.home)
-    asker.end_with_json(questions)
+    end_with_json(questions)
     if not questions:
         click.echo("No question is open.")
     for question in questions:
@@ -180,7 +181,7 @@ def place(station: str, labware: str, asker: Asker) -> None:
         name = client.place(station, labware, asker.user)
         where = find_stations(client, [name]).get(name, station)
     facts = {"labware": name, "type": labware, "station": where}
-    asker.report(f"{name or labware} stands at {where}.", facts)
+    report_done(f"{name or labware} stands at {where}.", facts)
 
 
 @click.command("barcode")
@@ -196,7 +197,7 @@ def barcode(labware: str, barcode: str, replace: bool, asker: Asker) -> None:
     """
     with asker.lab() as client:
         client.barcode(labware, barcode, asker.user, replace=replace)
-    asker.report(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
+    report_done(f"{labware} has the barcode {barcode}.", {"labware": labware, "barcode": barcode})
 
 
 @click.command("out-of-service")
@@ -215,13 +216,12 @@ def out_of_service(module: str, why: str, until: str | None, asker: Asker) -> No
     labos out-of-service hidex --why "lamp is being changed" --until 2h
     """
     from labos.cli._query import now_ns
-    from labos.services.times import parse_until, show_time
 
     back_at = parse_until(until, now_ns()) if until else 0
     with asker.lab() as client:
         client.take_out(module, why, asker.user, back_at)
     message = f"{module} is out of service{f' until {show_time(back_at)}' if back_at else ''}."
-    asker.report(message, {"module": module, "in_service": False, "back_at": back_at})
+    report_done(message, {"module": module, "in_service": False, "back_at": back_at})
 
 
 @click.command("in-service")
@@ -235,4 +235,4 @@ def in_service(module: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         client.put_back(module, asker.user)
-    asker.report(f"{module} is in service.", {"module": module, "in_service": True})
+    report_done(f"{module} is in service.", {"module": module, "in_service": True})

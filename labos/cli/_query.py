@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,72 +13,54 @@ import msgspec
 
 from labos.cli._options import json_option as json_option
 from labos.cli._options import refuse_password
-from labos.cli._out import end_with_json, report
-from labos.cli._remote import folder_or_database, is_given, needs_folder
+from labos.cli._remote import expect_folder_or_database, is_given
 from labos.client import LabClient, LabFiles, LabLog
 from labos.clock import SystemClock
+from labos.errors import LabosError
 from labos.ports import BlobReader
 from labos.services.log import Log
 from labos.services.shown import ShownLog
 from labos.services.times import Moment, parse_moment, parse_time
-from labos.settings import Settings, lab_url
+from labos.settings import Settings, lab_url, last_kernel
 from labos.store import SqlEventStore, open_blobs, open_store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-KERNEL_FILE = "kernel.json"
-"""A file that a kernel writes into its home; only its ``database`` is used here, also after the kernel's
-end."""
-
 
 class Where(msgspec.Struct, frozen=True):
     """The lab's home folder and, if it was given, its database; or the address of a ``lab`` on another
-    computer. ``as_json``: the command answers in JSON."""
+    computer."""
 
     home: Path
     database: str = ""
     lab: str = ""
-    as_json: bool = False
 
     @property
     def url(self) -> str:
         """The database's URL: the given one, else the last kernel's, else the file in the home folder; for a
         lab on another computer, its address."""
-        return (
-            self.lab
-            or self.database
-            or str(read_kernel_file(self.home).get("database", ""))
-            or name_own_database(self.home)
-        )
+        if self.lab or self.database:
+            return self.lab or self.database
+        last = last_kernel(self.home)
+        return (last.database if last is not None else "") or name_own_database(self.home)
 
-    def end_with_json(self, value: Any, code: int = 0) -> None:
-        """With ``--json``, show the value and end the command with this exit code."""
-        end_with_json(value, self.as_json, code)
-
-    def report(self, sentence: str, facts: Any) -> None:
-        """Report what a command has done."""
-        report(sentence, facts, as_json=self.as_json)
+    @property
+    def settings(self) -> Settings:
+        """The settings of the lab."""
+        return Settings.make(self.home, self.url)
 
 
 def name_own_database(home: Path) -> str:
     return f"sqlite:///{home / 'labos.db'}"
 
 
-def read_kernel_file(home: Path) -> dict[str, Any]:
-    """The file of the present or last kernel of this home; empty if it cannot be read."""
-    try:
-        found = msgspec.json.decode((home / KERNEL_FILE).read_bytes())
-    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
-        return {}
-    return found if isinstance(found, dict) else {}
-
-
-def log_options(command: F) -> F:
-    """``--home`` and ``--database``; the command gets ``where: Where``."""
+def log_options(command: F, *, needs_folder: bool = False) -> F:
+    """``--home`` and ``--database``; the command gets ``where: Where``, with the lab that LABOS_URL names
+    unless it ``needs_folder``."""
 
     @wraps(command)
     def wrap(*args: Any, home: Path, database: str | None, **options: Any) -> Any:
-        here = needs_folder() or is_given("home") or is_given("database")
+        here = needs_folder or is_given("home") or is_given("database")
         lab = "" if here else lab_url()
         return command(*args, where=Where(home, database or "", lab), **options)
 
@@ -97,18 +79,23 @@ def log_options(command: F) -> F:
         default=Path("lab"),
         show_default=True,
         help="The lab's folder.",
-        callback=folder_or_database,
+        callback=expect_folder_or_database if needs_folder else None,
     )(wrapped)
 
 
 def log_and_json(command: F) -> F:
     """``--json``, ``--home`` and ``--database``; the command gets ``where: Where``."""
+    return json_option(log_options(command))
 
-    @wraps(command)
-    def wrap(*args: Any, where: Where, as_json: bool, **options: Any) -> Any:
-        return command(*args, where=msgspec.structs.replace(where, as_json=as_json), **options)
 
-    return json_option(log_options(wrap))  # type: ignore[return-value]
+def folder_options(command: F) -> F:
+    """As ``log_options``, for a command that works on files of a lab."""
+    return log_options(command, needs_folder=True)
+
+
+def folder_and_json(command: F) -> F:
+    """``folder_options`` with ``--json``."""
+    return json_option(folder_options(command))
 
 
 @contextmanager
@@ -131,17 +118,23 @@ def open_contents(where: Where) -> Iterator[BlobReader]:
         with LabClient(where.lab) as client:
             yield LabFiles(client)
     else:
-        yield open_blobs(Settings.make(where.home, where.url).blobs)
+        yield open_blobs(where.settings.blobs)
 
 
 @contextmanager
 def open_database(where: Where) -> Iterator[SqlEventStore]:
     """The log's database, opened for reading only. Raises StoreUnavailable, LogTooNew, BadInput."""
-    store = open_store(where.url, create=False, read_only=True, home=where.home)
-    try:
+    with closing(open_store(where.url, create=False, read_only=True, home=where.home)) as store:
         yield store
-    finally:
-        store.close()
+
+
+def find_lab_id(where: Where) -> str:
+    """The id of the lab; empty if it has no log yet."""
+    try:
+        with open_log(where) as log:
+            return log.head().lab
+    except LabosError:
+        return ""
 
 
 def now_ns() -> int:
@@ -163,3 +156,8 @@ AT_HELP = "A past moment: 2026-05-04T10:30, -2h, or a position of the log."
 
 def at_option(command: F) -> F:
     return click.option("--at", "moment", metavar="TIME|POSITION", callback=as_moment, help=AT_HELP)(command)
+
+
+def log_at_and_json(command: F) -> F:
+    """``log_and_json`` with ``--at``; the command also gets the ``moment``."""
+    return json_option(at_option(log_options(command)))

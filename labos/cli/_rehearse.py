@@ -41,14 +41,7 @@ class RestoreRehearsal(msgspec.Struct, frozen=True):
     compared: str
 
 
-def rehearse(
-    where: Where,
-    folder: Path,
-    put_back: Callable[[Where], Restored],
-    scratch: Path | None,
-    *,
-    as_json: bool,
-) -> None:
+def rehearse(where: Where, folder: Path, put_back: Callable[[Where], Restored], scratch: Path | None) -> None:
     """Restore a backup into a temporary folder, compare it with the lab's log, and note the rehearsal in the
     lab's folder. Raises what ``put_back`` raises, LogDamaged for the backup of another log."""
     began = time.monotonic()
@@ -68,7 +61,7 @@ def rehearse(
     )
     if where.home.is_dir():
         replace_file(where.home / REHEARSAL, msgspec.json.encode(found) + b"\n")
-    end_with_json(found, as_json)
+    end_with_json(found)
     click.echo(
         f"The backup can be restored: {found.position} events up to {show_time(done.recorded_at)}, "
         f"{found.blobs} "

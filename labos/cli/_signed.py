@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines
 from labos.errors import BadInput
 from labos.services.log import Log
 from labos.services.trust.compare import CheckpointComparison, compare, read_tree_heads
@@ -35,14 +35,13 @@ def compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str])
     return compare(log, read_tree_heads(path, trusted))
 
 
-def verify_bundle(file: Path, trust: Trust, as_json: bool) -> None:
+def verify_bundle(file: Path, trust: Trust) -> None:
     """Check a bundle and report the result; exit code 1 if anything is wrong."""
     found = prove_bundle(file, trust)
     facts = {"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found}
-    end_with_json(facts, as_json, int(bool(found.faults)))
+    end_with_json(facts, int(bool(found.faults)))
     for part in found.parts:
-        for line in part.faults or (part.told,):
-            click.echo(line)
+        show_lines(part.faults or (part.told,))
     if found.faults:
         click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
         click.get_current_context().exit(1)

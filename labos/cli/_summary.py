@@ -30,7 +30,6 @@ def show_summary(summary: Summary) -> None:
     if fast:
         columns.insert(6, "lab time")
     show_table(columns, [_run(run, fast) for run in summary.runs], title="Runs")
-    click.echo()
     rows = [
         (
             local(m.name),
@@ -42,15 +41,13 @@ def show_summary(summary: Summary) -> None:
         )
         for m in summary.modules
     ]
-    show_table(("module", "in use", "actions", "failed", "unknown", "busy"), rows, title="Modules")
-    click.echo()
+    show_table(("module", "in use", "actions", "failed", "unknown", "busy"), rows, title="Modules", gap=True)
     users = [
         (u.name, f"{u.completed} of {u.runs}", str(u.actions), show_span(u.lab_s if fast else u.module_s))
         for u in summary.users
     ]
-    show_table(("user", "runs completed", "actions", "module time"), users, title="Users")
-    click.echo()
-    click.echo(describe_summary(summary))
+    show_table(("user", "runs completed", "actions", "module time"), users, title="Users", gap=True)
+    click.echo(f"\n{describe_summary(summary)}")
 
 
 def describe_summary(summary: Summary) -> str:

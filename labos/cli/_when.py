@@ -67,11 +67,11 @@ def parse_when(text: str, now: int, zone: str, *, after: int = 0) -> int:
     at = _parse_clock(clock)
     today = datetime.fromtimestamp((after or now) // SECOND_NS, where)
     if at is not None and not day:
-        found = _to_ns(today.date(), at, zone)
-        return found if found > (after or now) else _to_ns(today.date() + timedelta(days=1), at, zone)
+        found = to_ns(today.date(), at, zone)
+        return found if found > (after or now) else to_ns(today.date() + timedelta(days=1), at, zone)
     named = _parse_day(day or words, datetime.fromtimestamp(now // SECOND_NS, where).date())
     if named is not None and (at is not None or not day):
-        return _to_ns(named, at or time(), zone)
+        return to_ns(named, at or time(), zone)
     try:
         return parse_time(text, now, where)
     except BadInput as error:
@@ -93,7 +93,8 @@ def _parse_day(text: str, today: date) -> date | None:
     return today + timedelta(days=(meant[0] - today.weekday() - 1) % 7 + 1) if meant else None
 
 
-def _to_ns(day: date, clock: time, zone: str) -> int:
+def to_ns(day: date, clock: time, zone: str) -> int:
+    """The time (UTC ns) of a day and a clock in a time zone."""
     local = datetime.combine(day, clock, find_zone(zone))
     return int(local.astimezone(UTC).timestamp()) * SECOND_NS
 

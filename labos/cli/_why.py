@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import click
 import msgspec
 
 from labos.cli._out import show_json, show_table
@@ -21,17 +20,17 @@ def show_why(found: Losses, shown: list[Twh]) -> None:
     columns = ("scope", "had work", "at work", "lost", "of it for a person", "most of it to")
     show_table(columns, [_list_cells(each) for each in accounts])
     first = accounts[0]
-    click.echo()
     show_table(
         ("cause", "module", "class", "lost", "share", "waits for"),
         [_list_loss_cells(first, loss) for loss in first.losses],
         title=f"Losses of {_name(first)}",
+        gap=True,
     )
-    click.echo()
     show_table(
         ("when", "what", "run", "do"),
         [_touch(touch, found.end) for touch in found.next_touches[:TOUCHES_SHOWN]],
         title="A person is needed next",
+        gap=True,
     )
 
 

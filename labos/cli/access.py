@@ -10,6 +10,8 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, why_option
+from labos.cli._out import end_with_json, report_done, wants_json
+from labos.cli._rounds import ask
 from labos.core.ids import local, workcell_of
 from labos.errors import BadInput, NotFound, Refused
 
@@ -71,16 +73,16 @@ def command(
     with asker.lab() as client:
         if done:
             changes = [_change(text) for text in changed]
-            if not (changed or unchanged or asker.as_json) and sys.stdin.isatty() and sys.stdout.isatty():
+            if not (changed or unchanged or wants_json()) and sys.stdin.isatty() and sys.stdout.isatty():
                 _leave_asked(client, workcell, asker.user, why)
                 return
             client.leave(workcell, asker.user, changes, why)
             listed = [{"station": station, "what": what} for station, what in changes]
             facts = {"workcell": workcell, "granted": False, "changed": listed}
-            asker.report(_describe_going_on(workcell, changes), facts)
+            report_done(_describe_going_on(workcell, changes), facts)
             return
         parking = client.enter(workcell, asker.user, why, park=not no_park)
-        if not asker.as_json:
+        if not wants_json():
             click.echo(f"No new action starts in {workcell}.")
             if parking:
                 click.echo(f"Arms go home: {', '.join(parking)}.")
@@ -89,7 +91,7 @@ def command(
     access = state["lab"]["access"].get(workcell)
     doubtful = access["perhaps_moving"] if access is not None else []
     facts = {"workcell": workcell, "granted": True, "perhaps_moving": doubtful, "parking": parking}
-    asker.end_with_json({**facts, "stations": _list_recorded(state, workcell)})
+    end_with_json({**facts, "stations": _list_recorded(state, workcell)})
     if doubtful:
         click.echo(
             f"WARNING: it is unknown whether everything has stopped: {', '.join(doubtful)}. Switch "
@@ -113,8 +115,6 @@ def _describe_going_on(workcell: str, changes: list[tuple[str, str]]) -> str:
 def _leave_asked(client: LabClient, workcell: str, by: str, note: str) -> None:
     """Ask for the changes, then end the access. If the lab refuses an answer, it is asked again; if the user
     stops, nothing is sent."""
-    from labos.cli._rounds import ask
-
     while True:
         state = client.state(waits=False)
         access = state["lab"]["access"].get(workcell)

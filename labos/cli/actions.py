@@ -9,9 +9,15 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_table, terminal_width
-from labos.cli._query import Where, log_and_json
+from labos.cli._lab import read_workcell
+from labos.cli._out import end_with_json, show_table, terminal_width
+from labos.cli._query import Where, log_and_json, open_log
+from labos.core.arguments import describe_arg, shorten
 from labos.core.ids import local
+from labos.errors import NotFound, StoreUnavailable
+from labos.services.history import find_position_at
+from labos.services.log import fold_to
+from labos.services.times import Moment
 
 if TYPE_CHECKING:
     from labos.core.model import ActionSpec, Arg, Description, ModuleSpec
@@ -58,7 +64,7 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
         offers = _find_offers(offers, list(_list_drivers()), name)
     if action:
         offers = [_keep_only(offer, action) for offer in offers]
-    where.end_with_json([_make_plain(offer) for offer in offers])
+    end_with_json([_make_plain(offer) for offer in offers])
     if name:
         for offer in offers:
             _show(offer)
@@ -71,7 +77,6 @@ def command(where: Where, name: str, action: str, drivers: bool, file: str | Non
 
 
 def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[Offer]:
-    from labos.core.ids import local
     from labos.spec.about import find_description
 
     modules = [] if drivers else _list_modules(where, file)
@@ -88,15 +93,7 @@ def _list_offers(where: Where, file: str | None, *, drivers: bool) -> Iterator[O
 def _list_modules(where: Where, file: str | None) -> list[ModuleSpec]:
     """The modules of the file, or those of the lab; none if there is no lab yet."""
     if file is not None:
-        from labos.cli._lab import read_workcell
-
         return list(read_workcell(file).workcell.modules)
-    from labos.cli._query import open_log
-    from labos.errors import StoreUnavailable
-    from labos.services.history import find_position_at
-    from labos.services.log import fold_to
-    from labos.services.times import Moment
-
     try:
         with open_log(where) as store:
             state = fold_to(store, find_position_at(store, Moment()))
@@ -125,7 +122,6 @@ def _sort_actions(found: Description) -> tuple[ActionSpec, ...]:
 
 def _find_offers(offers: list[Offer], drivers: list[Offer], name: str) -> list[Offer]:
     """Modules of that name; else those with that driver; else the driver or model itself. Raises NotFound."""
-    from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
     wanted = local(name).lower()
@@ -145,7 +141,6 @@ def _names_of(driver: str) -> set[str]:
 
 
 def _keep_only(offer: Offer, action: str) -> Offer:
-    from labos.errors import NotFound
     from labos.spec.findings import suggest_name
 
     found = tuple(spec for spec in offer.actions if action in (spec.name, *spec.aliases))
@@ -202,8 +197,6 @@ def _show_seconds(duration_s: float) -> str:
 
 
 def _describe_argument(arg: Arg) -> str:
-    from labos.core.arguments import describe_arg
-
     words = describe_arg(arg)
     if arg.default in (None, ""):
         words += "" if arg.required and arg.default is None else ", may be left out"
@@ -217,6 +210,4 @@ def _describe_argument(arg: Arg) -> str:
 
 def _show_value(value: Any) -> str:
     """A value in the form of a workflow file."""
-    from labos.core.arguments import shorten
-
     return str(value).lower() if isinstance(value, bool) else shorten(value)

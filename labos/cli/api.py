@@ -16,6 +16,8 @@ from labos.cli._options import (
     refuse_password,
     web_options,
 )
+from labos.settings import Settings, keep_private
+from labos.telemetry.logs import configure_logs
 
 if TYPE_CHECKING:
     from labos.bootstrap import ApiSettings
@@ -75,8 +77,6 @@ def command(
     """
     from labos.bootstrap import ApiSettings
     from labos.cli._lab import end_in_order
-    from labos.settings import Settings, keep_private
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
     keep_private()

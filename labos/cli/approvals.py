@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from labos.cli._forecast import show_campaign, show_change, show_ways
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, report_done, show_table, wants_json
+from labos.cli._terms import as_seconds, consumable_option
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -42,7 +44,7 @@ def approvals(subject: str | None, no_forecast: bool, asker: Asker) -> None:
         forecast = _forecast(client, subject, answer) if subject and not no_forecast else None
     if forecast is not None:
         answer["forecast"] = forecast
-    asker.end_with_json(answer)
+    end_with_json(answer)
     if subject:
         _show(answer)
         if forecast is not None:
@@ -77,8 +79,6 @@ def _forecast(client: LabClient, subject: str, approval: dict[str, Any]) -> dict
 
 
 def _show_forecast(approval: dict[str, Any], subject: str) -> None:
-    from labos.cli._forecast import show_campaign, show_change, show_ways
-
     found = approval["forecast"]
     click.echo("Forecast for an approval now:")
     campaigns = [each for each in found["campaigns"] if each["campaign"] == subject]
@@ -155,29 +155,24 @@ def _strip_control(text: str) -> str:
     help="For a campaign: the deadline, 2026-05-04T10:30, 12h, or empty for none.",
 )
 @click.option("--runs", type=click.IntRange(min=0), help="For a campaign: the maximum number of rows.")
-@click.option("--lab-time", metavar="TIME", help="For a campaign: the maximum module time, such as `20 h`.")
 @click.option(
-    "--consumable", "consumables", multiple=True, metavar="KIND=AMOUNT", help="Maximum, such as tips=96."
+    "--lab-time",
+    "lab_time_s",
+    metavar="TIME",
+    callback=as_seconds,
+    help="For a campaign: the maximum module time, such as `20 h`.",
 )
+@consumable_option
 @click.option(
     "--alike",
     is_flag=True,
+    default=None,
     help="For a run in an experiment: approve further runs of the same workflow with other values too.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @why_option("A comment, for the log.")
 @asker_options
-def approve(
-    subject: str,
-    digest: str | None,
-    lab_time: str | None,
-    consumables: tuple[str, ...],
-    alike: bool,
-    yes: bool,
-    why: str,
-    asker: Asker,
-    **changes: Any,
-) -> None:
+def approve(subject: str, digest: str | None, yes: bool, why: str, asker: Asker, **changes: Any) -> None:
     """Approve the run, campaign or experiment ID: as it was proposed, or with changes.
 
     LabOS approves only the version that you have seen. If it was changed meanwhile, the command is refused.
@@ -186,26 +181,18 @@ def approve(
     labos approve R7 --why "looked at the protocol"
     labos approve C3 --runs 20 --lab-time "10 h"
     """
-    from labos.cli._terms import amount_of, seconds_of
-
     wanted = {name: value for name, value in changes.items() if value is not None}
-    if lab_time is not None:
-        wanted["lab_time_s"] = seconds_of(lab_time)
-    if consumables:
-        wanted["consumables"] = dict(map(amount_of, consumables))
-    if alike:
-        wanted["alike"] = True
     with asker.lab() as client:
         if digest is None:
             approval = client.approval_of(subject)
             digest = str(approval["proposal"]["digest"])
-            if not asker.as_json:
+            if not wants_json():
                 _show(approval)
             if not yes and sys.stdin.isatty():
                 click.confirm(f"Approve {subject}?", abort=True)
         approved = client.approve(subject, asker.user, digest, comment=why, **wanted)
     facts = {"subject": subject, "approved": True, "digest": approved}
-    asker.report(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
+    report_done(f"{subject} is approved ({approved[:DIGEST_SHOWN]}).", facts)
 
 
 @click.command("refuse")
@@ -218,7 +205,7 @@ def refuse(subject: str, why: str, asker: Asker) -> None:
     with asker.lab() as client:
         refused = client.refuse(subject, asker.user, comment=why)
     facts = {"subject": subject, "approved": False, "digest": refused}
-    asker.report(f"{subject} is refused.", facts)
+    report_done(f"{subject} is refused.", facts)
 
 
 def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:

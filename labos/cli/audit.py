@@ -9,7 +9,8 @@ import click
 
 from labos.cli._audit import open_projector, show_progress
 from labos.cli._group import Suggesting
-from labos.cli._query import Where, log_and_json, log_options
+from labos.cli._out import report_done
+from labos.cli._query import Where, folder_and_json, folder_options
 from labos.errors import BadInput
 from labos.services.times import iso_time, show_time
 
@@ -37,7 +38,7 @@ def command() -> None:
     metavar="SECONDS",
     help="How often to check for new events.",
 )
-@log_and_json
+@folder_and_json
 def project(where: Where, follow: bool, every: float) -> None:
     """Update the tables from the log. `labos sql` and `labos provenance` do this themselves. For dashboards,
     run this command with --follow.
@@ -64,7 +65,7 @@ def project(where: Where, follow: bool, every: float) -> None:
 
 
 @command.command("rebuild")
-@log_and_json
+@folder_and_json
 def rebuild(where: Where) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
@@ -73,7 +74,7 @@ def rebuild(where: Where) -> None:
 
 
 @command.command("status")
-@log_and_json
+@folder_and_json
 def status(where: Where) -> None:
     """Show how far the tables are behind the log."""
     with open_projector(where) as (store, database, _):
@@ -82,7 +83,7 @@ def status(where: Where) -> None:
     at = round((mark.at_s or 0) * 1e9)
     facts = {"database": database.name, "position": mark.position, "behind": behind}
     until = f", which was recorded at {show_time(at)}" if at else ""
-    where.report(
+    report_done(
         f"The {database.name} is at event {mark.position}{until}: {behind} behind the log.",
         {**facts, "log": head.position, "recorded": iso_time(at) if at else ""},
     )
@@ -90,7 +91,7 @@ def status(where: Where) -> None:
 
 @command.command("reader")
 @click.argument("role")
-@log_options
+@folder_options
 def reader(where: Where, role: str) -> None:
     """Let ROLE of a PostgreSQL database read the views, and nothing else. Use such a role for a dashboard.
 
@@ -113,4 +114,4 @@ def reader(where: Where, role: str) -> None:
 
 
 def _report_position(where: Where, position: int, name: str) -> None:
-    where.report(f"The {name} is at event {position}.", {"database": name, "position": position})
+    report_done(f"The {name} is at event {position}.", {"database": name, "position": position})

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._query import (
-    Where,
-    log_and_json,
-    now_ns,
-    open_database,
-    read_kernel_file,
-)
+from labos.cli._out import end_with_json
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.services.retention import note_retention
-from labos.settings import Settings
+from labos.settings import was_simulated
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 
 _DAY_NS = 86_400 * 10**9
@@ -49,7 +45,7 @@ archive_option = folder_option(
     help="With --move-old: keep segments with an event from the last N days.",
 )
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where, folder: Path, archive: Path | None, keep_days: float, key_file: Path | None
 ) -> None:
@@ -69,26 +65,22 @@ def command(
     LabOS needs them to recognise a log that was restored from an older copy.
     """
     key = key_of(key_file) if key_file else b""
-    known = read_kernel_file(where.home)
     with open_database(where) as store:
         made = backup(
             store,
-            open_blobs(Settings.make(where.home, where.url).blobs),
+            open_blobs(where.settings.blobs),
             folder,
             key=key,
-            simulated=bool(known.get("simulated", (where.home / "world").is_dir())),
+            simulated=bool(was_simulated(where.settings)),
         )
-    accounts = open_accounts(where.url)
-    try:
+    with closing(open_accounts(where.url)) as accounts:
         people = copy_accounts(accounts, made.lab, folder, now_ns(), key)
-    finally:
-        accounts.close()
     before = now_ns() - int(keep_days * _DAY_NS)
     moved = move_old_segments(folder, archive, before) if archive is not None else []
     if archive is not None:
         note_retention(where.home, "moved_at", now_ns())
     files = [segment.file for segment in moved]
-    where.end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
+    end_with_json({**msgspec.structs.asdict(made), "users": people.users, "moved": files})
     newest = made.segments[-1]
     click.echo(f"{folder} holds the lab {made.lab} up to position {made.position}.")
     click.echo(f"Hash {made.hash}, state {newest.state}")

@@ -4,17 +4,21 @@ bench."""
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._options import Asker, asker_options, find_user, json_option, user_option
-from labos.cli._query import Where, log_and_json, log_options, open_database, open_log
+from labos.cli._lab import need_lab_of
+from labos.cli._options import Asker, asker_options, json_option, user_option
+from labos.cli._out import end_with_json, show_json, wants_json
+from labos.cli._query import Where, folder_and_json, log_options, open_database, open_log
 from labos.core.ids import workcell_of
 from labos.errors import BadInput
 from labos.services.describe import describe_counts
+from labos.services.log import fold_to
 
 
 @click.group("bench", cls=Suggesting)
@@ -52,7 +56,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
         raise click.UsageError("Name stations (STATION=TYPE) or a file, or give --empty.")
     with asker.lab() as client:
         found = client.declare(contents, asker.user, workcell=workcell, empty=empty)
-    asker.end_with_json(found)
+    end_with_json(found)
     for name, types in found.items():
         click.echo(f"{name}: {describe_counts(types)}")
     if not found:
@@ -60,7 +64,7 @@ def declare(stations: tuple[str, ...], empty: bool, workcell: str, asker: Asker)
 
 
 @command.command("show")
-@log_and_json
+@folder_and_json
 def show(where: Where) -> None:
     """Show the true state of a simulated bench, and where it differs from the log (exit code 1). The command
     works with and without a running lab, and changes nothing.
@@ -83,11 +87,11 @@ def show(where: Where) -> None:
     with open_database(where) as store:
         sights: list[BenchView] = [read_bench(store, path) for path in benches]
     agrees = all(sight.agrees for sight in sights)
-    where.end_with_json({"agrees": agrees, "workcells": sights}, int(not agrees))
+    end_with_json({"agrees": agrees, "workcells": sights}, int(not agrees))
     for sight in sights:
         show(sight)
     if not agrees:
-        raise SystemExit(1)
+        click.get_current_context().exit(1)
 
 
 @command.command("round", short_help="Check the bench after the log has lost its last events.")
@@ -106,8 +110,7 @@ def round_(
     path: str | None,
     simulated: bool,
     only_say: bool,
-    as_json: bool,
-    user: str | None,
+    user: str,
 ) -> None:
     """Check the bench, station by station, after the log has lost its last events. Nodes, a
     checkpoint or a journal then know later events than the log, or the log was restored from an older copy.
@@ -128,8 +131,6 @@ def round_(
     reported it and belongs to their users. Waiting runs are paused (labos resume R7, labos cancel R7).
     """
     from labos.cli._bench_round import ask, parse_options, read_file, say, show, show_not_known, show_refused
-    from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_json
 
     with need_lab_of(where) as client:
         view = client.round()
@@ -142,24 +143,24 @@ def round_(
         if simulated:
             words = {**_read_bench_contents(where), "rest": None, **words}
         question = view["intervention"]
-        if not words and not as_json:
+        if not words and not wants_json():
             show(view)
             if sys.stdin.isatty() and sys.stdout.isatty():
-                ask(client, find_user(user))
+                ask(client, user)
                 only_say = only_say or not click.confirm(
                     "Is this complete, and has everybody left the workcell?"
                 )
-        finish = not (only_say or (as_json and not words))
+        finish = not (only_say or (wants_json() and not words))
         found: dict[str, Any] = {"said": [], "refused": [], "answered": False, "why_not": ""}
         if words or finish:
-            found = say(client, view, words, find_user(user), finish=finish)
+            found = say(client, view, words, user, finish=finish)
         answered = found["answered"]
         if answered:  # no question is open any more
             view = {**view, "stations": [{**station, "said": True} for station in view["stations"]]}
         else:
             view = client.round()
         left = [station["station"] for station in view["stations"] if not station["said"]]
-    if as_json:
+    if wants_json():
         show_json({**view, **found, "left": left})
     else:
         show_refused(found["refused"])
@@ -171,13 +172,12 @@ def round_(
         elif found["why_not"]:
             click.echo(f"{question} is not answered: {found['why_not']}")
     if (words or found["why_not"]) and not answered and not only_say:
-        raise SystemExit(1)
+        click.get_current_context().exit(1)
 
 
 def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
     """The true content of the simulated benches of this lab."""
     from labos.node.world import World
-    from labos.services.log import fold_to
     from labos.services.truth import list_bench_contents
 
     benches = [] if where.lab else sorted((where.home / "world").glob("*.db"))
@@ -191,11 +191,8 @@ def _read_bench_contents(where: Where) -> dict[str, list[str] | None]:
         position = store.head().position
         state, records = fold_to(store, position), list(store.read(upto=position))
     for path in benches:
-        world = World(str(path))
-        try:
+        with closing(World(str(path))) as world:
             seen = list_bench_contents(world, state, records)
-        finally:
-            world.close()
         found |= {name: content for name, content in seen.items() if workcell_of(name) == path.stem}
     wastes = [name for name, station in state.bench.stations.items() if station.spec.kind == "waste"]
     return {**found, **dict.fromkeys(wastes, None)}

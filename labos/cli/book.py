@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import click
@@ -10,6 +11,9 @@ from labos.cli._bookings import describe_booking, show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json, options_together
+from labos.cli._out import end_with_json, report_done
+from labos.cli._when import expect_zone, parse_when, rule_of
+from labos.core.recurrence import DAY_NS
 from labos.errors import BadInput
 
 _booking = click.argument("booking", metavar="BOOKING")
@@ -65,20 +69,7 @@ def command() -> None:
 @command.command("add", short_help="Book a module or a workcell.")
 @click.argument("target", shell_complete=make_completer("module"))
 @_booking_options
-def add(
-    target: str,
-    begins: str | None,
-    ends: str | None,
-    whom: str | None,
-    maintenance: bool,
-    every: str | None,
-    rule: str | None,
-    last: str | None,
-    zone: str | None,
-    why: str | None,
-    force: bool,
-    asker: Asker,
-) -> None:
+def add(target: str, asker: Asker, **given: Any) -> None:
     """Book TARGET, a module or a workcell. The word `add` may be left out.
 
     A repeated booking keeps its local time when daylight saving time begins or ends.
@@ -87,50 +78,22 @@ def add(
     labos book ot2_pcr_alpha --from "2026-11-26 09:00" --to 17:00 --for chemistry
     labos book hidex --from "tue 14:00" --to +2h --every week --until 2027-03-31
     """
-    from labos.cli._query import now_ns
-    from labos.cli._when import expect_zone, parse_when, rule_of
-
-    if begins is None or ends is None:
+    if given["begins"] is None or given["ends"] is None:
         raise BadInput(
             f"The booking of {target} has no start or no end.",
             remedy=f'labos book {target} --from "tomorrow 09:00" --to 12:00',
         )
-    where, now = expect_zone(zone), now_ns()
-    begin = parse_when(begins, now, where)
+    zone = expect_zone(given["zone"])
+    terms = {**_read_terms(given, zone), "zone": zone}
     with asker.lab() as client:
-        found = client.book(
-            target,
-            begin,
-            parse_when(ends, now, where, after=begin),
-            asker.user,
-            whom=whom or "",
-            maintenance=maintenance,
-            why=why or "",
-            zone=where,
-            rule=rule_of(every, rule),
-            last_at=parse_when(last, now, where) if last else 0,
-            force=force,
-        )
-    _report_booking(found, asker)
+        found = client.book(target, terms.pop("begins_at"), terms.pop("ends_at"), asker.user, **terms)
+    _report_booking(found)
 
 
 @command.command("change", short_help="Change the times or the holder of a booking.")
 @_booking
 @_booking_options
-def change(
-    booking: str,
-    begins: str | None,
-    ends: str | None,
-    whom: str | None,
-    maintenance: bool,
-    every: str | None,
-    rule: str | None,
-    last: str | None,
-    zone: str | None,
-    why: str | None,
-    force: bool,
-    asker: Asker,
-) -> None:
+def change(booking: str, asker: Asker, **given: Any) -> None:
     """Change BOOKING. Values without an option stay as they are. With a new start alone, the booking moves
     and keeps its duration.
 
@@ -138,28 +101,31 @@ def change(
     labos book change B3 --from "fri 09:00"
     labos book change B3 --to now
     """
-    from labos.cli._query import now_ns
-    from labos.cli._when import expect_zone, parse_when, rule_of
-
-    now = now_ns()
     with asker.lab() as client:
         known = client.booking(booking)
-        where = expect_zone(zone) if zone is not None else known["zone"]
-        changes: dict[str, Any] = {"force": force, "whom": whom, "why": why, "zone": zone}
-        if begins is not None:
-            changes["begins_at"] = parse_when(begins, now, where)
-        if ends is not None:
-            after = changes.get("begins_at", known["begins_at"])
-            changes["ends_at"] = parse_when(ends, now, where, after=after)
-        if maintenance:
-            changes["maintenance"] = True
-        if every is not None or rule is not None:
-            changes["rule"] = rule_of(every, rule)
-        if last is not None:
-            changes["last_at"] = parse_when(last, now, where)
-        given = {name: value for name, value in changes.items() if value is not None}
-        found = client.change_booking(booking, asker.user, **given)
-    _report_booking(found, asker)
+        zone = known["zone"] if given["zone"] is None else expect_zone(given["zone"])
+        terms = _read_terms(given, zone, known["begins_at"])
+        found = client.change_booking(booking, asker.user, **terms)
+    _report_booking(found)
+
+
+def _read_terms(given: Mapping[str, Any], zone: str, begins_at: int = 0) -> dict[str, Any]:
+    """The given options in the form that the client accepts. An end such as ``+2h`` counts from the given
+    start, else from ``begins_at``. Raises BadInput."""
+    from labos.cli._query import now_ns
+
+    now = now_ns()
+    terms = {name: given[name] for name in ("whom", "why", "zone", "force")}
+    terms["maintenance"] = given["maintenance"] or None
+    if given["begins"] is not None:
+        terms["begins_at"] = begins_at = parse_when(given["begins"], now, zone)
+    if given["ends"] is not None:
+        terms["ends_at"] = parse_when(given["ends"], now, zone, after=begins_at)
+    if given["last"] is not None:
+        terms["last_at"] = parse_when(given["last"], now, zone)
+    if given["every"] is not None or given["rule"] is not None:
+        terms["rule"] = rule_of(given["every"], given["rule"])
+    return {name: value for name, value in terms.items() if value is not None}
 
 
 @command.command("cancel", short_help="Cancel a booking, or one time of it.")
@@ -179,7 +145,7 @@ def cancel(booking: str, on: str | None, why: str | None, asker: Asker) -> None:
         begins_at = _find_time_on(client, booking, on) if on else 0
         client.cancel_booking(booking, asker.user, begins_at=begins_at, why=why or "")
     message = f"{booking} is cancelled{f' on {on}' if on else ''}."
-    asker.report(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
+    report_done(message, {"booking": booking, "begins_at": begins_at, "cancelled": True})
 
 
 @command.command("show")
@@ -193,15 +159,13 @@ def show(booking: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         found = client.booking(booking)
-    asker.end_with_json(found)
+    end_with_json(found)
     show_bookings([found])
 
 
 def _find_time_on(client: Any, booking: str, on: str) -> int:
     """When a booking begins on a day (UTC ns). Raises BadInput."""
     from labos.cli._query import now_ns
-    from labos.cli._when import parse_when
-    from labos.core.recurrence import DAY_NS
 
     known = client.booking(booking)
     day = parse_when(on, now_ns(), known["zone"])
@@ -215,6 +179,6 @@ def _find_time_on(client: Any, booking: str, on: str) -> int:
     return int(times[0])
 
 
-def _report_booking(found: dict[str, Any], asker: Asker) -> None:
+def _report_booking(found: dict[str, Any]) -> None:
     over = f" It overlaps with {', '.join(found['over'])}." if found["over"] else ""
-    asker.report(f"{found['id']}: {describe_booking(found)}.{over}", found)
+    report_done(f"{found['id']}: {describe_booking(found)}.{over}", found)

@@ -7,6 +7,7 @@ import click
 from labos.cli._bookings import show_bookings
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import end_with_json
 
 
 @click.command("bookings", short_help="List bookings.")
@@ -22,5 +23,5 @@ def command(target: str, asker: Asker) -> None:
     """
     with asker.lab() as client:
         found = client.bookings(target)
-    asker.end_with_json(found)
+    end_with_json(found)
     show_bookings(found)

@@ -8,15 +8,16 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option
-from labos.cli._query import Where, log_and_json, open_database
-from labos.errors import NotFound, SystemFailed
+from labos.cli._out import report_done
+from labos.cli._query import Where, folder_and_json, open_database
+from labos.cli._specs import write_new
+from labos.errors import NotFound
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.notes import parse_note
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER
-from labos.settings import Settings
-from labos.store import create_file, open_blobs
+from labos.store import open_blobs
 
 
 @click.command("bundle", short_help="Write a run, experiment or campaign to a file with its proof.")
@@ -30,7 +31,7 @@ from labos.store import create_file, open_blobs
 @click.option(
     "--without-words", is_flag=True, help="Leave out texts that people wrote; the bundle still verifies."
 )
-@log_and_json
+@folder_and_json
 def command(where: Where, subject: str, file: Path, checkpoint: Path | None, without_words: bool) -> None:
     """Write a run's events, plan and files to FILE, with the proof that they are in the log of a signed
     checkpoint. For an experiment or a campaign, write its own events and those of all its runs. With the
@@ -45,13 +46,9 @@ def command(where: Where, subject: str, file: Path, checkpoint: Path | None, wit
     erase` cannot change a bundle that was already passed on.
     """
     data, about = make_bundle_of(where, subject, checkpoint, words=not without_words)
-    try:
-        with create_file(file) as written:
-            written.write(data)
-    except OSError as error:
-        raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
+    write_new(file, data)
     message = f"{file} holds {about.events} events and {about.blobs} files of {subject}"
-    where.report(f"{message}, proven by the checkpoint of size {about.size}.", about)
+    report_done(f"{message}, proven by the checkpoint of size {about.size}.", about)
 
 
 def make_bundle_of(
@@ -71,4 +68,4 @@ def make_bundle_of(
         ) from None
     beside = Attachments(parse_note(note), stamp, SigningKeys(where.home).read_rotations(), words)
     with open_database(where) as store:
-        return make_bundle(store, open_blobs(Settings.make(where.home, where.url).blobs), subject, beside)
+        return make_bundle(store, open_blobs(where.settings.blobs), subject, beside)

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from labos.cli._options import address_option, folder_option, home_option, pki_option
+from labos.settings import Settings, keep_private
+from labos.telemetry.logs import configure_logs
 
 if TYPE_CHECKING:
     from labos.bootstrap import Guard
@@ -60,8 +62,6 @@ def command(
     from labos.bootstrap import Guard
     from labos.cli._lab import end_in_order
     from labos.pki import PartyIdentity
-    from labos.settings import Settings, keep_private
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
     guard = None

@@ -6,6 +6,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import end_with_json, show_lines
 
 DAYS = 7
 
@@ -48,6 +49,5 @@ def command(target: str, day: str | None, days: int, zone: str | None, ical: boo
         end = monday + timedelta(days=days)
         since, until = (int(at.timestamp()) * SECOND_NS for at in (monday, end))
         found = client.calendar(since, until, target)
-    asker.end_with_json(found)
-    for line in list_week(found["times"], monday, days, where):
-        click.echo(line)
+    end_with_json(found)
+    show_lines(list_week(found["times"], monday, days, where))

@@ -9,6 +9,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, file_option, why_option
+from labos.cli._out import report_done
 from labos.errors import BadInput
 
 
@@ -44,7 +45,7 @@ def command(module: str, report: Path | None, asker: Asker, **details: Any) -> N
     of = f"{found['module']} ({found['what']})" if found["what"] else found["module"]
     valid = f", valid until {found['until']}" if found["until"] else ""
     kept = f" Its report is kept as {found['file']}." if found["file"] else ""
-    asker.report(f"The calibration of {of} is recorded{valid}.{kept}", found)
+    report_done(f"The calibration of {of} is recorded{valid}.{kept}", found)
 
 
 def _read(report: Path) -> bytes:

@@ -9,8 +9,10 @@ from typing import Any, get_args
 import click
 import msgspec
 
+from labos.cli._forecast import show_campaign, show_change
 from labos.cli._group import Suggesting
-from labos.cli._liveness import say_if_dead
+from labos.cli._lab import need_lab_of
+from labos.cli._liveness import open_current_log
 from labos.cli._options import (
     ENDED_SHOWN,
     Asker,
@@ -19,10 +21,11 @@ from labos.cli._options import (
     propose_option,
     why_option,
 )
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._terms import terms_options
 from labos.core.viewer import Visibility
+from labos.errors import LabosError
 from labos.services.campaigns import (
     CampaignHistory,
     RowHistory,
@@ -66,7 +69,7 @@ def submit(file: str, asker: Asker, request: str, propose: bool) -> None:
     submitted."""
     with asker.lab() as client:
         answer = client.submit_campaign(file, user=asker.user, request=request, propose=propose)
-    asker.end_with_json(answer)
+    end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     click.echo(answer["campaign"])
@@ -82,12 +85,10 @@ def plan(file: str, asker: Asker) -> None:
     The minimum duration of the campaign is the nominal time that its busiest module needs for all rows.
     The forecast simulates the lab from its present state, with the campaign and without it.
     """
-    from labos.cli._forecast import show_campaign, show_change
-
     with asker.lab() as client:
         answer = client.forecast_campaign(file, user=asker.user)
     estimate, forecast = answer["estimate"], answer["forecast"]
-    asker.end_with_json({**estimate, "forecast": forecast})
+    end_with_json({**estimate, "forecast": forecast})
     checked = (
         "" if estimate["checked"] == estimate["rows"] else f" ({estimate['checked']} of them were checked)"
     )
@@ -119,13 +120,12 @@ def plan(file: str, asker: Asker) -> None:
 def list_(where: Where, everything: bool, archived: bool) -> None:
     """List open campaigns and the last completed ones, without archived campaigns and private campaigns of
     other users."""
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         stories = [s for s in list_campaign_histories(store).values() if archived or not s.archived]
     ended = [story.campaign.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in stories if story.campaign.id not in hidden]
-    where.end_with_json([_make_plain(story) for story in shown])
+    end_with_json([_make_plain(story) for story in shown])
     titles = ("id", "name", "user", "status", "rows", "submitted", "took")
     show_table(titles, [_row(story) for story in shown])
     if hidden:
@@ -140,7 +140,7 @@ def show(where: Where, campaign: str) -> None:
     expected to end (not with --json: use `labos forecast`)."""
     with open_log(where) as store:
         story = read_campaign_history(store, campaign)
-    where.end_with_json(_make_plain(story))
+    end_with_json(_make_plain(story))
     found, terms = story.campaign, story.campaign.terms
     budget = terms.budget
     lines = {
@@ -176,7 +176,7 @@ def report(where: Where, campaign: str, as_csv: bool) -> None:
     """Show the rows of a campaign with their values, runs and results."""
     with open_log(where) as store:
         rows = list_campaign_rows(store, campaign)
-    where.end_with_json(rows)
+    end_with_json(rows)
     values = [_flatten_table(row.payload) for row in rows]
     results = [_flatten_table(row.results) for row in rows]
     keys = list(dict.fromkeys(key for row in values for key in row))
@@ -200,7 +200,7 @@ def pause(campaign: str, asker: Asker, why: str) -> None:
     """Pause a campaign: submit no further row, and start none of its waiting runs. Active runs continue."""
     with asker.lab() as client:
         client.pause_campaign(campaign, asker.user, why=why)
-    asker.report(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
+    report_done(f"{campaign} is paused.", {"campaign": campaign, "paused": True})
 
 
 @command.command("resume")
@@ -210,7 +210,7 @@ def resume(campaign: str, asker: Asker) -> None:
     """Resume a paused campaign."""
     with asker.lab() as client:
         client.resume_campaign(campaign, asker.user)
-    asker.report(f"{campaign} continues.", {"campaign": campaign, "paused": False})
+    report_done(f"{campaign} continues.", {"campaign": campaign, "paused": False})
 
 
 @command.command("archive")
@@ -223,7 +223,7 @@ def archive(campaign: str, asker: Asker, undo: bool) -> None:
     with asker.lab() as client:
         client.archive_campaign(campaign, asker.user, undo=undo)
     message = f"{campaign} is shown in lists again." if undo else f"{campaign} is archived."
-    asker.report(message, {"campaign": campaign, "archived": not undo})
+    report_done(message, {"campaign": campaign, "archived": not undo})
 
 
 @command.command("cancel")
@@ -235,7 +235,7 @@ def cancel(campaign: str, asker: Asker, why: str, stay: bool) -> None:
     """Cancel a campaign: submit no further row, and cancel its runs."""
     with asker.lab() as client:
         client.cancel_campaign(campaign, asker.user, why=why, stay=stay)
-    asker.report(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
+    report_done(f"{campaign} is cancelled.", {"campaign": campaign, "cancelled": True})
 
 
 @command.command("amend")
@@ -249,7 +249,7 @@ def amend(campaign: str, asker: Asker, terms_wanted: dict[str, Any]) -> None:
         terms = client.amend_campaign(campaign, asker.user, **terms_wanted)
         if client.approval:
             click.echo(f"labos: {client.approval}", err=True)
-    asker.end_with_json(terms)
+    end_with_json(terms)
 
 
 @command.command("clone")
@@ -281,7 +281,7 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
     """
     with asker.lab() as client:
         answer = client.clone_campaign(campaign, asker.user, **asked, **terms_wanted)
-    asker.end_with_json(answer)
+    end_with_json(answer)
     if answer["approval"]:
         click.echo(f"labos: {answer['approval']}", err=True)
     estimate = answer["estimate"]
@@ -290,10 +290,6 @@ def clone(campaign: str, asker: Asker, terms_wanted: dict[str, Any], **asked: An
 
 def _find_expected(where: Where, story: CampaignHistory) -> dict[str, str]:
     """When a campaign in progress is expected to start and end, if a running lab has a forecast."""
-    from labos.cli._forecast import show_campaign
-    from labos.cli._lab import need_lab_of
-    from labos.errors import LabosError
-
     if story.ended_at:
         return {}
     try:

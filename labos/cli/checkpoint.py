@@ -6,8 +6,9 @@ import threading
 
 import click
 
-from labos.cli._out import show_json
-from labos.cli._query import Where, log_and_json, now_ns, open_database
+from labos.cli._lab import end_in_order
+from labos.cli._out import show_json, show_lines, wants_json
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.errors import StoreUnavailable
 from labos.services.times import show_time
 from labos.services.trust.keys import read_given_keys
@@ -61,7 +62,7 @@ POLL_S = 2.0
     metavar="SECONDS",
     help="With --follow: write a checkpoint after this time at the latest, if there is a new event.",
 )
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     places: tuple[str, ...],
@@ -88,19 +89,17 @@ def command(
     """
     targets = Targets(places, witnesses, tuple(read_given_keys(witness_keys)), stamp)
     if follow:
-        _follow(where, targets, every, seconds, where.as_json)
+        _follow(where, targets, every, seconds)
         return
     with open_database(where) as store:
         made = publish(store, where.home, targets)
-    _report_checkpoint(made, where.as_json)
+    _report_checkpoint(made)
     if made.faults:
         click.get_current_context().exit(1)
 
 
-def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json: bool) -> None:
+def _follow(where: Where, targets: Targets, every: int, seconds: float) -> None:
     """Until Ctrl-C. If the database is away, it waits; if the log was rewritten, it ends."""
-    from labos.cli._lab import end_in_order
-
     pause = threading.Event()
     last_ns = 0
     with end_in_order():
@@ -113,7 +112,7 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
                         if gained < 0 or gained >= every or due:
                             made = publish(store, where.home, targets)
                             last_ns = now_ns()
-                            _report_checkpoint(made, as_json)
+                            _report_checkpoint(made)
                 except StoreUnavailable as error:
                     click.echo(f"labos: {error}", err=True)
                 pause.wait(POLL_S)
@@ -121,8 +120,8 @@ def _follow(where: Where, targets: Targets, every: int, seconds: float, as_json:
             pass
 
 
-def _report_checkpoint(made: PublishResult, as_json: bool) -> None:
-    if as_json:
+def _report_checkpoint(made: PublishResult) -> None:
+    if wants_json():
         show_json(
             {
                 "origin": made.head.origin,
@@ -138,7 +137,5 @@ def _report_checkpoint(made: PublishResult, as_json: bool) -> None:
     signed = ", ".join(signature.name for signature in made.note.signatures)
     click.echo(f"{show_time(now_ns())}: checkpoint of size {made.head.size}, signed by {signed}.")
     click.echo(f"Root {made.head.root.hex()}{', time-stamped' if made.stamped else ''}")
-    for place in made.written:
-        click.echo(f"Kept in {place}")
-    for fault in made.faults:
-        click.echo(f"labos: {fault}", err=True)
+    show_lines(made.written, "Kept in ")
+    show_lines(made.faults, "labos: ", err=True)

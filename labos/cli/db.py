@@ -7,7 +7,8 @@ from typing import Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._query import Where, log_and_json, log_options, now_ns, open_log
+from labos.cli._out import end_with_json, report_done
+from labos.cli._query import Where, folder_and_json, folder_options, now_ns, open_log
 from labos.errors import Refused
 from labos.services.times import iso_time, show_time
 from labos.store import (
@@ -39,13 +40,13 @@ def command() -> None:
 
 
 @command.command("status")
-@log_and_json
+@folder_and_json
 def status(where: Where) -> None:
     """Show revision, size, end of the log, and whether a kernel runs. Exit code 1 if this version of LabOS
     cannot use the database as it is."""
     found = read_database_status(where.url)
     facts = _list_facts(where, found)
-    where.end_with_json(facts, int(found.state != "current"))
+    end_with_json(facts, int(found.state != "current"))
     click.echo(f"{found.name}: {_describe_status(found)}")
     if "bytes" in facts:
         click.echo(f"Size: {facts['bytes'] / 1e6:.1f} MB")
@@ -60,14 +61,14 @@ def status(where: Where) -> None:
 
 
 @command.command("upgrade")
-@log_and_json
+@folder_and_json
 def upgrade(where: Where) -> None:
     """Upgrade an older or empty database to this version of LabOS. The command is refused while a kernel
     runs. It never changes a database of a newer LabOS."""
     found = read_database_status(where.url)
     if found.state == "current":
         message = f"The {found.name} is already at revision {found.revision}."
-        where.report(message, {"before": found.revision, "revision": found.revision})
+        report_done(message, {"before": found.revision, "revision": found.revision})
         return
     owner = find_lease_holder(where.url)
     if owner:
@@ -76,15 +77,16 @@ def upgrade(where: Where) -> None:
             remedy="Stop it first: Ctrl-C where labos up runs.",
         )
     if found.state == "older":
-        _advise_backup(where)
+        advice = f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}"
+        click.echo(advice, err=True)
     revision = migrate(where.url)
     before = found.revision or "no revision"
     message = f"The {found.name} was upgraded from {before} to revision {revision}."
-    where.report(message, {"before": found.revision, "revision": revision})
+    report_done(message, {"before": found.revision, "revision": revision})
 
 
 @command.command("restored")
-@log_and_json
+@folder_and_json
 def record_restored(where: Where) -> None:
     """Record that this database was restored from a copy that another program than labos backup made. The
     next kernel has a higher epoch than the nodes have ever seen. It starts no action until a person has
@@ -96,12 +98,12 @@ def record_restored(where: Where) -> None:
     before, after = raise_epoch(where.url, now_ns())
     forget_end(where.home)
     message = f"The {found.name} continues with an epoch above {after}; it was {before}."
-    where.report(message, {"before": before, "above": after})
+    report_done(message, {"before": before, "above": after})
 
 
 @command.command("writer")
 @click.argument("role")
-@log_options
+@folder_options
 def writer(where: Where, role: str) -> None:
     """Grant ROLE the rights that a kernel needs on this PostgreSQL database. The role may append records to
     the log, but not change or delete them. Run this command with the owner's URL (--database). Then let
@@ -114,7 +116,7 @@ def writer(where: Where, role: str) -> None:
 
 
 @command.command("scrub")
-@log_and_json
+@folder_and_json
 def scrub(where: Where) -> None:
     """Remove all traces of erased texts from the database's files. `labos erase` does this itself. Use this
     command if `labos erase` reports that traces are left. On PostgreSQL it rewrites the table of texts. The
@@ -126,17 +128,17 @@ def scrub(where: Where) -> None:
     """
     left = scrub_words(where.url)
     message = f"Traces may be left: {left}." if left else "The files contain no traces of erased texts."
-    where.report(message, {"left": left})
+    report_done(message, {"left": left})
     if left:
         click.get_current_context().exit(1)
 
 
 @command.command("url")
-@log_and_json
+@folder_and_json
 def url(where: Where) -> None:
     """Show which database is used, with its password hidden. It is the first of these that is set:
     --database, LABOS_DATABASE_URL, the database of the lab's kernel, labos.db in the lab's folder."""
-    where.report(show_url(where.url), {"url": show_url(where.url)})
+    report_done(show_url(where.url), {"url": show_url(where.url)})
 
 
 def _list_facts(where: Where, found: DatabaseStatus) -> dict[str, Any]:
@@ -175,7 +177,3 @@ def _describe_status(found: DatabaseStatus) -> str:
         case "older":
             return f"revision {found.revision}, older than {found.expected}: labos db upgrade"
     return f"revision {found.revision}, of a newer LabOS than this one ({found.expected}): upgrade LabOS"
-
-
-def _advise_backup(where: Where) -> None:
-    click.echo(f"Make a backup first: labos backup FOLDER --database {show_url(where.url)}", err=True)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +16,12 @@ import click
 from labos.cli._options import SPEED_HELP, database_option
 from labos.core.ids import local
 from labos.errors import BadInput, LabosError
+from labos.private import make_folder
+from labos.settings import Settings, keep_private
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
     from labos.client import RunResult
-    from labos.settings import Settings
 
 SPEED = 400.0
 """Two PCRs take four hours of lab time, one after the other in the same thermocycler."""
@@ -51,7 +53,6 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     """
     from labos.bootstrap import LabThread, descriptions
     from labos.cli._lab import CLOSING, end_in_order, read_workcell
-    from labos.settings import Settings, keep_private
 
     folder = Path(home) if home else _find_fresh_folder()
     keep_private()
@@ -112,7 +113,6 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
 
 
 def _start_application(settings: Settings, seed: int) -> subprocess.Popen[bytes]:
-    from labos.private import make_folder
     from labos.spec.library import find_specs_folder
 
     script = find_specs_folder() / "apps" / "first_color_picker.py"
@@ -175,11 +175,8 @@ def _show_account(settings: Settings, results: list[RunResult]) -> None:
     from labos.services.summary import summarise
     from labos.store import open_store
 
-    store = open_store(settings.database, create=False, read_only=True)
-    try:
+    with closing(open_store(settings.database, create=False, read_only=True)) as store:
         summary = summarise(store.read())
-    finally:
-        store.close()
     click.echo()
     show_summary(summary)
     home = _cut_path(settings.home)
@@ -203,8 +200,6 @@ def _cut_path(folder: Path) -> str:
 
 
 def _find_fresh_folder() -> Path:
-    from labos.settings import Settings
-
     base = Settings.make().home
     number = 1
     while (folder := base / ("demo" if number == 1 else f"demo-{number}")).exists():
@@ -222,11 +217,8 @@ def _expect_new(settings: Settings, *, given: bool) -> None:
     if given:
         from labos.store import open_store
 
-        store = open_store(settings.database, home=settings.home)
-        try:
+        with closing(open_store(settings.database, home=settings.home)) as store:
             if store.head().position:
                 raise BadInput(
                     "The database already holds a lab.", remedy="Use an empty database for the demonstration."
                 )
-        finally:
-            store.close()

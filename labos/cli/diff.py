@@ -6,8 +6,8 @@ import click
 
 from labos.audit.difference import list_differences
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_table
-from labos.cli._query import AT_HELP, Where, as_moment, log_and_json
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import AT_HELP, Where, as_moment, folder_and_json
 from labos.errors import BadInput
 from labos.services.history import find_position_at
 from labos.services.times import Moment
@@ -18,7 +18,7 @@ from labos.services.times import Moment
 @click.option(
     "--until", "last", metavar="TIME|POSITION", callback=as_moment, help="A later moment; now if not given."
 )
-@log_and_json
+@folder_and_json
 def command(where: Where, first: Moment, last: Moment) -> None:
     """Show the differences of the lab between two moments: places of labware, runs, levels of resources,
     questions to people, and versions of drivers.
@@ -32,6 +32,6 @@ def command(where: Where, first: Moment, last: Moment) -> None:
         if begin > end:
             raise BadInput("--since is later than --until.", remedy="Exchange the two times.")
         changes = list_differences(asker, begin, end)
-    where.end_with_json({"since": begin, "until": end, "changes": changes})
+    end_with_json({"since": begin, "until": end, "changes": changes})
     click.echo(f"From event {begin} to event {end}:")
     show_table(("about", "what", "before", "after"), [(c.about, c.what, c.before, c.after) for c in changes])

@@ -9,20 +9,25 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import (
-    find_user,
     json_option,
     lab_options,
     options_together,
+    priority_option,
+    quiet_option,
+    simulate_option,
     user_option,
     wait_option,
 )
+from labos.cli._out import wants_json
+from labos.cli._payload import read_value
+from labos.cli._remote import lab_of
+from labos.cli.run import RunRequest, carry_out, parse_places, show_result, submit
 from labos.errors import BadInput
+from labos.settings import Settings
 
 _options = options_together(
     click.option("--workcell", metavar="NAME|FILE", help="The workcell, if the lab has several."),
-    click.option(
-        "--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated."
-    ),
+    simulate_option,
     click.option(
         "--place",
         "placed",
@@ -31,20 +36,14 @@ _options = options_together(
         help="Labware that stands at a station before the action, such as `hidex.default=plate96`.",
     ),
     user_option,
-    click.option(
-        "--priority",
-        type=int,
-        default=0,
-        show_default=True,
-        help="Runs with a higher priority go first.",
-    ),
+    priority_option,
     wait_option(
         "Wait for its end; otherwise queue it in the running lab and print the run's id.",
         default=True,
     ),
     lab_options,
     json_option,
-    click.option("--quiet", is_flag=True, help="Print only the end."),
+    quiet_option,
 )
 """The options of the three commands."""
 
@@ -98,8 +97,6 @@ def home(module: str, **options: Any) -> None:
 
 def read_arguments(given: Sequence[str]) -> dict[str, Any]:
     """``name=value`` with values as in a workflow file. Raises BadInput."""
-    import yaml
-
     values: dict[str, Any] = {}
     for text in given:
         name, equals, value = text.partition("=")
@@ -107,10 +104,7 @@ def read_arguments(given: Sequence[str]) -> dict[str, Any]:
             raise BadInput(f"{text!r} is not NAME=VALUE.", remedy="Write NAME=VALUE, such as time=3.0.")
         if name.strip() in values:
             raise BadInput(f"The argument {name.strip()!r} is given twice.", remedy="Leave one out.")
-        try:
-            values[name.strip()] = yaml.safe_load(value)
-        except yaml.YAMLError:
-            values[name.strip()] = value
+        values[name.strip()] = read_value(value)
     return values
 
 
@@ -122,42 +116,37 @@ def _carry_out(
     workcell: str | None,
     simulate: bool,
     placed: tuple[str, ...],
-    user: str | None,
+    user: str,
     priority: int,
     wait: bool,
     home: str | None,
     database: str | None,
     speed: float | None,
     seed: int,
-    as_json: bool,
     quiet: bool,
 ) -> None:
-    from labos.cli._remote import lab_of
-    from labos.cli.run import RunRequest, carry_out, show_result
     from labos.client import step_text
-    from labos.settings import Settings
 
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     job = RunRequest(
         step_text(module, action, arguments),
-        user=find_user(user),
+        user=user,
         workcell=workcell or module.rpartition("/")[0],
         placed=placed,
         priority=priority,
         simulate=simulate,
     )
     if not wait:
-        _queue(job, home, as_json=as_json)
+        _queue(job, home)
         return
     url = "" if database else lab_of(home)
-    found = carry_out(job, settings, url=url, quiet=quiet or as_json, say_waits=True)
-    show_result(found, as_json=as_json)
+    found = carry_out(job, settings, url=url, quiet=quiet or wants_json(), say_waits=True)
+    show_result(found)
 
 
-def _queue(job: Any, home: str | None, *, as_json: bool) -> None:
+def _queue(job: Any, home: str | None) -> None:
     from labos.cli._lab import need_lab
-    from labos.cli.run import parse_places, submit
 
     with need_lab(home) as client:
         run = submit(client, job, job.workcell, parse_places(job.placed))
-    click.echo(f'{{"run": "{run}"}}' if as_json else run)
+    click.echo(f'{{"run": "{run}"}}' if wants_json() else run)

@@ -11,7 +11,9 @@ from urllib.parse import urlsplit
 import click
 
 from labos.cli._exit import DONE, FAILED
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._out import end_with_json
+from labos.cli._query import Where, folder_and_json, now_ns, open_log
+from labos.client import LabClient
 from labos.core.lengths import find_drifts
 from labos.errors import LabosError
 from labos.pki import Authority
@@ -43,7 +45,7 @@ LONG_AGO_S = 7 * 86_400.0
 
 
 @click.command("doctor", short_help="Check the lab's database, disk, network, nodes and backups.")
-@log_and_json
+@folder_and_json
 def command(where: Where) -> None:
     """Check database, disk, permissions, ports, kernel, bus, clocks, nodes, checkpoints, backups and
     calibrations, and report a remedy for each problem. The command moves and changes nothing. It works with
@@ -56,7 +58,7 @@ def command(where: Where) -> None:
     """
     found = list(_examine(where))
     faults = sum(finding.state == "fault" for finding in found)
-    where.end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
+    end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
     for finding in found:
         click.echo(f"{MARKS[finding.state]} {finding.told}")
         if finding.remedy:
@@ -64,7 +66,15 @@ def command(where: Where) -> None:
     warnings = sum(finding.state == "warning" for finding in found)
     click.echo(f"{len(found)} checks: {faults} faults, {warnings} warnings.")
     if faults:
-        raise SystemExit(FAILED)
+        click.get_current_context().exit(FAILED)
+
+
+def _fail(part: str, told: str, remedy: str) -> DoctorFinding:
+    return DoctorFinding(part, "fault", told, remedy)
+
+
+def _warn(part: str, told: str, remedy: str) -> DoctorFinding:
+    return DoctorFinding(part, "warning", told, remedy)
 
 
 def _examine(where: Where) -> Iterator[DoctorFinding]:
@@ -72,9 +82,7 @@ def _examine(where: Where) -> Iterator[DoctorFinding]:
     yield _check_database(where)
     if not where.home.is_dir():
         message = f"There is no folder {where.home}."
-        yield DoctorFinding(
-            "home", "fault", message, "Name the lab's folder (--home), or start a lab: labos up"
-        )
+        yield _fail("home", message, "Name the lab's folder (--home), or start a lab: labos up")
         return
     file = find_database_file(where.url)
     disk = file.parent if file is not None and file.parent.is_dir() else where.home
@@ -101,9 +109,7 @@ def _examine_safely(name: str, look: Callable[[], DoctorFinding]) -> Iterator[Do
     try:
         yield look()
     except OSError as error:
-        yield DoctorFinding(
-            name, "fault", f"This check failed: {error}.", "Run the command as the owner of the lab."
-        )
+        yield _fail(name, f"This check failed: {error}.", "Run the command as the owner of the lab.")
 
 
 def _check_database(where: Where) -> DoctorFinding:
@@ -111,7 +117,7 @@ def _check_database(where: Where) -> DoctorFinding:
         found = read_database_status(where.url)
     except LabosError as error:
         message = f"The database {show_url(where.url)} cannot be used: {error.message}"
-        return DoctorFinding("database", "fault", message, error.remedy)
+        return _fail("database", message, error.remedy)
     message = (
         f"The {found.name} is at revision {found.revision or 'none'}; this LabOS needs {found.expected}."
     )
@@ -120,12 +126,10 @@ def _check_database(where: Where) -> DoctorFinding:
             return DoctorFinding("database", "ok", message)
         case "missing" | "empty":
             message = f"There is no log in {show_url(where.url)} yet."
-            return DoctorFinding(
-                "database", "warning", message, "labos up creates one. Or give the right --home."
-            )
+            return _warn("database", message, "labos up creates one. Or give the right --home.")
         case "older":
-            return DoctorFinding("database", "fault", message, "Make a backup, then run: labos db upgrade")
-    return DoctorFinding("database", "fault", message, "Install the newer LabOS that wrote it.")
+            return _fail("database", message, "Make a backup, then run: labos db upgrade")
+    return _fail("database", message, "Install the newer LabOS that wrote it.")
 
 
 def _check_state(where: Where) -> Iterator[DoctorFinding]:
@@ -148,7 +152,7 @@ def _check_ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFindin
             if port and not is_free(port):
                 message = f"Another program listens on {port}, the lab's port for {name}."
                 remedy = f"End that program, or use another port: labos up --{name.lower()}-port PORT"
-                yield DoctorFinding("ports", "fault", message, remedy)
+                yield _fail("ports", message, remedy)
         return
     endpoint = urlsplit(kernel.bus.replace("/", "://", 1))
     try:
@@ -156,9 +160,7 @@ def _check_ports(home: Path, kernel: KernelInfo | None) -> Iterator[DoctorFindin
         yield _check_bus(kernel.bus, endpoint.hostname or "")
     except (OSError, ValueError) as error:
         message = f"The bus does not answer at {kernel.bus}: {error}."
-        yield DoctorFinding(
-            "bus", "fault", message, "Start it (labos bus), and check the firewall between the hosts."
-        )
+        yield _fail("bus", message, "Start it (labos bus), and check the firewall between the hosts.")
 
 
 def _check_bus(where: str, host: str) -> DoctorFinding:
@@ -168,7 +170,7 @@ def _check_bus(where: str, host: str) -> DoctorFinding:
     if where.startswith("tls/") or is_own_address(host):
         return DoctorFinding("bus", "ok", message)
     message = f"{message} Other computers can reach it without authentication."
-    return DoctorFinding("bus", "warning", message, "labos up --secure; see docs/secure-bus.md.")
+    return _warn("bus", message, "labos up --secure; see docs/secure-bus.md.")
 
 
 def _check_lab_certificates(authority: Authority) -> Iterator[DoctorFinding]:
@@ -177,7 +179,7 @@ def _check_lab_certificates(authority: Authority) -> Iterator[DoctorFinding]:
     try:
         yield from check_certificates(authority, now_ns())
     except LabosError as error:
-        yield DoctorFinding("certificates", "fault", f"They cannot be checked: {error.message}", error.remedy)
+        yield _fail("certificates", f"They cannot be checked: {error.message}", error.remedy)
 
 
 def _explain_no_kernel(where: Where) -> DoctorFinding:
@@ -187,38 +189,28 @@ def _explain_no_kernel(where: Where) -> DoctorFinding:
         owner = ""
     if owner:
         message = f"Another kernel ({owner}) writes this log, and does not answer here."
-        return DoctorFinding(
-            "kernel", "warning", message, "It runs on another computer, or is frozen. Check it there."
-        )
+        return _warn("kernel", message, "It runs on another computer, or is frozen. Check it there.")
     last = last_kernel(where.home)
     if last is not None and last.pid:
         message = (
             f"The last kernel of this lab (pid {last.pid}) ended unexpectedly: it was killed, or crashed."
         )
-        return DoctorFinding(
-            "kernel", "warning", message, "Read the journal of its service, then start it again: labos up"
-        )
+        return _warn("kernel", message, "Read the journal of its service, then start it again: labos up")
     return DoctorFinding("kernel", "ok", "No kernel runs this lab. The last one ended normally.")
 
 
 def _check_kernel(home: Path, kernel: KernelInfo) -> Iterator[DoctorFinding]:
-    from labos.client import LabClient
-
     try:
         with LabClient(home=home, patience_s=5.0) as client:  # the folder's owner may read
             health = client.health()
             heard = client.check_nodes()
     except LabosError as error:
-        yield DoctorFinding(
-            "kernel", "fault", f"The kernel at {kernel.url} says: {error.message}", error.remedy
-        )
+        yield _fail("kernel", f"The kernel at {kernel.url} says: {error.message}", error.remedy)
         return
     yield _check_health(kernel, health)
     for driver, why in health.get("broken_drivers", {}).items():
         message = f"The driver {driver} cannot be loaded: {why}"
-        yield DoctorFinding(
-            "drivers", "warning", message, "Install the packages that it needs, if a module uses this driver."
-        )
+        yield _warn("drivers", message, "Install the packages that it needs, if a module uses this driver.")
     yield from check_nodes(heard, VERSION)
 
 
@@ -226,16 +218,13 @@ def _check_health(kernel: KernelInfo, health: dict[str, Any]) -> DoctorFinding:
     check = health.get("log_check") or {}
     if check.get("damage"):
         message = f"The log is damaged. {check['damage']}"
-        return DoctorFinding(
-            "log", "fault", message, "Do not change it. Check it with labos verify, then restore a backup."
-        )
+        return _fail("log", message, "Do not change it. Check it with labos verify, then restore a backup.")
     if health.get("status") != "ok" or health.get("suspended"):
         message = (
             f"The kernel at {kernel.url} does not write: {health.get('suspended') or health.get('status')}."
         )
-        return DoctorFinding(
+        return _fail(
             "kernel",
-            "fault",
             message,
             "Check its database. The kernel continues when the database is available again.",
         )
@@ -248,13 +237,9 @@ def _check_checkpoint(home: Path) -> DoctorFinding:
     newest = find_newest(home / FOLDER)
     if newest is None:
         message = "No checkpoint of the log was signed yet. Without one, other people cannot verify the log."
-        return DoctorFinding(
-            "checkpoints", "warning", message, "labos key create, then labos checkpoint --follow --to PLACE"
-        )
+        return _warn("checkpoints", message, "labos key create, then labos checkpoint --follow --to PLACE")
     made_ns = int(newest.stat().st_mtime * 1e9)
     message = f"The newest checkpoint is {newest.name}, of {show_time(made_ns)}."
     if now_ns() - made_ns > LONG_AGO_S * 1e9:
-        return DoctorFinding(
-            "checkpoints", "warning", message, "Check whether labos checkpoint --follow still runs."
-        )
+        return _warn("checkpoints", message, "Check whether labos checkpoint --follow still runs.")
     return DoctorFinding("checkpoints", "ok", message)

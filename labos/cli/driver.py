@@ -14,7 +14,7 @@ from labos.cli._complete import make_completer
 from labos.cli._describe import describe_command
 from labos.cli._group import Suggesting
 from labos.cli._options import json_option
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.errors import BadInput
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ command.add_command(describe_command)
 @click.option("--keep", metavar="DIR", help="Keep journals, logs and the bench in this new folder.")
 @json_option
 def torture_command(
-    driver: str, only: tuple[str, ...], at_least: str, motion_s: float, keep: str | None, as_json: bool
+    driver: str, only: tuple[str, ...], at_least: str, motion_s: float, keep: str | None
 ) -> None:
     """Test DRIVER against faults of every kind, and print its badge with the evidence.
 
@@ -71,14 +71,14 @@ def torture_command(
         raise BadInput(f"{folder} already exists.", remedy="Name a new folder.")
 
     def show(finding: Finding) -> None:
-        if not (as_json or (only and finding.verdict == "left out")):
+        if not (wants_json() or (only and finding.verdict == "left out")):
             why = f": {finding.why}" if finding.why else ""
             took = f" ({finding.seconds:.1f} s)" if finding.verdict != "left out" else ""
             click.echo(f"{finding.tier:6}  {finding.check:18}  {MARKS[finding.verdict]}{took}{why}")
 
     report = asyncio.run(torture(driver, show=show, only=only, motion_s=motion_s, folder=folder))
     enough = not report.failed if only else RANKS.index(report.badge) >= RANKS.index(at_least)
-    end_with_json(report, as_json, int(not enough))
+    end_with_json(report, int(not enough))
     _show(report)
     if not enough:
         raise click.exceptions.Exit(1)
@@ -88,8 +88,7 @@ def _show(report: Report) -> None:
     from labos.torture import MEANING
 
     click.echo(f"{report.driver} {report.version}: {report.badge} ({MEANING[report.badge]})")
-    for line in report.evidence:
-        click.echo(f"  evidence: {line}")
+    show_lines(report.evidence, "  evidence: ")
     if report.limits:
         click.echo(f"  no higher badge, because {report.limits}")
 
@@ -97,7 +96,7 @@ def _show(report: Report) -> None:
 @command.command("new")
 @click.argument("name")
 @json_option
-def new_command(name: str, as_json: bool) -> None:
+def new_command(name: str) -> None:
     """Create the package of a driver NAME in a new folder of that name.
 
     The package works without changes: an interface, a driver, a simulated device on a real serial line,
@@ -122,9 +121,8 @@ def new_command(name: str, as_json: bool) -> None:
     for path, text in files.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    end_with_json({"written": [str(path) for path in files]}, as_json)
-    for path in files:
-        click.echo(f"wrote {path}")
+    end_with_json({"written": [str(path) for path in files]})
+    show_lines(files, "wrote ")
     click.echo("Next:")
     click.echo(f"  pip install -e {shlex.quote(f'{folder.absolute()}[test]')}")
     click.echo(f"  labos driver torture {package}")

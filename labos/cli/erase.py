@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from labos.cli._options import Asker, asker_options
-from labos.cli._out import end_with_json, show_table
+from labos.cli._out import end_with_json, report_done, show_table
 from labos.cli._query import Where
 from labos.cli._remote import lab_of
 from labos.core.erasure import REASONS
@@ -62,10 +62,10 @@ def command(
     with asker.lab() as client:
         if refuse:
             client.refuse_erasure(refuse, asker.user)
-            asker.report(f"{refuse} was refused.", {"erasure": refuse})
+            report_done(f"{refuse} was refused.", {"erasure": refuse})
             return
         if not asks:
-            _show(client.erasures(), as_json=asker.as_json)
+            _show(client.erasures())
             return
         if approve:
             done = client.approve_erasure(approve, asker.user)
@@ -74,7 +74,7 @@ def command(
             done = client.erase_words(because, asker.user, records=list(records), user=author or "")
     if done["erased"] and not lab_of(asker.home):
         forget_erased(Where(Settings.make(asker.home).home))
-    asker.report(_describe_erasure(done), done)
+    report_done(_describe_erasure(done), done)
 
 
 def _describe_erasure(done: dict[str, Any]) -> str:
@@ -90,8 +90,8 @@ def _describe_erasure(done: dict[str, Any]) -> str:
     return message
 
 
-def _show(waiting: list[dict[str, Any]], *, as_json: bool) -> None:
-    end_with_json(waiting, as_json)
+def _show(waiting: list[dict[str, Any]]) -> None:
+    end_with_json(waiting)
     if not waiting:
         click.echo("No request waits for a second person.")
     else:

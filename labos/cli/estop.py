@@ -11,6 +11,10 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, cert_option
+from labos.cli._out import show_json, wants_json
+from labos.cli._remote import lab_of
+from labos.errors import BadInput, BusError, NotFound
+from labos.settings import Settings, find_kernel, last_kernel
 
 PATIENCE_S = 2.0
 """How long the search for a kernel may take before the nodes are stopped without it."""
@@ -46,13 +50,12 @@ def command(
     labos estop rpl
     labos estop --all
     """
-    from labos.cli._out import show_json
 
     if (target is None) is not everything:
         raise click.UsageError("Name one module or workcell, or give --all.")
     report = _stop(target or "*", connect, cert, asker.user, asker.home)
     stopped, silent = sorted(report["stopped"]), report["silent"]
-    if asker.as_json:
+    if wants_json():
         show_json(report)
     else:
         for module in stopped:
@@ -69,11 +72,8 @@ def _stop(
     target: str, connect: Sequence[str], cert: Path | None, by: str, home: str | None
 ) -> dict[str, Any]:
     """Stop through the kernel, else directly at the nodes. Raises NotFound, BusError."""
-    from labos.cli._remote import lab_of
     from labos.client import LabClient, LabUnreachable
-    from labos.errors import NotFound
     from labos.pki import Authority, PartyIdentity
-    from labos.settings import Settings, find_kernel, last_kernel
 
     if not connect and (url := lab_of(home)):
         with LabClient(url, patience_s=PATIENCE_S) as client:
@@ -101,7 +101,6 @@ def _stop_without_kernel(
     import msgspec
 
     from labos.bootstrap import stop_over_bus
-    from labos.errors import BadInput, BusError
 
     try:
         report = asyncio.run(stop_over_bus(connect, target, by, lab, cert))

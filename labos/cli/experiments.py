@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._options import ENDED_SHOWN, all_option
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json
 from labos.services.experiments import ExperimentHistory, list_experiment_histories
 from labos.services.times import show_span, show_time
 
@@ -24,13 +24,12 @@ def command(where: Where, everything: bool) -> None:
     labos explain E1               why its runs wait
     labos log --experiment E1      what happened in one
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         stories = list(list_experiment_histories(store).values())
     ended = [story.id for story in stories if story.ended_at]
     hidden = set() if everything else set(ended[:-ENDED_SHOWN])
     shown = [story for story in stories if story.id not in hidden]
-    where.end_with_json(shown)
+    end_with_json(shown)
     show_table(("id", "name", "user", "status", "runs", "started", "took"), [_row(story) for story in shown])
     if hidden:
         click.echo(f"{len(hidden)} more experiments have ended: labos experiments --all")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import has_kernel, say_if_dead
+from labos.cli._liveness import has_kernel, open_current_log
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._out import end_with_json, show_lines
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.cli.runs import show_duration
 from labos.core.ids import RunId, local
 from labos.core.interventions import Intervention
@@ -33,8 +34,7 @@ def command(where: Where, run: str) -> None:
     labos explain R3
     labos explain E1
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         inside = list_experiment_histories(store).get(run) if run.startswith("E") else None
         named = [name for name, kind in inside.runs.items() if kind == "alive"] if inside else [run]
         stories, state = [run_history(store, name) for name in named], fold_state_at(store)
@@ -48,7 +48,7 @@ def command(where: Where, run: str) -> None:
     runs = [
         {"run": story, "now": waits, "kernel": lives} for story, waits in zip(stories, now_of, strict=True)
     ]
-    where.end_with_json({"experiment": inside, "runs": runs} if inside else runs[0])
+    end_with_json({"experiment": inside, "runs": runs} if inside else runs[0])
     if inside:
         why = f" ({inside.why})" if inside.why else ""
         click.echo(f"{inside.id} ({inside.name}, {inside.user}) is {inside.status}{why}.")
@@ -56,18 +56,12 @@ def command(where: Where, run: str) -> None:
             click.echo("It has no active and no waiting runs.")
     for story, waits in zip(stories, now_of, strict=True):
         click.echo(f"{story.id} ({story.workflow}, {story.user}) is {story.status}.")
-        for sentence in waits:
-            click.echo(f"- {sentence}")
+        show_lines(waits, "- ")
         click.echo(describe_progress(story))
 
 
 def list_sentences(
-    state: LabState,
-    story: RunHistory,
-    now: int,
-    kernel: KernelWaits | None = None,
-    *,
-    searches: bool = False,
+    state: LabState, story: RunHistory, now: int, kernel: KernelWaits | None = None, *, searches: bool = False
 ) -> list[str]:
     """The present actions and waits of a run; ``kernel`` says more if one runs the lab. ``searches``: the lab
     looks for orders of its own."""
@@ -81,12 +75,12 @@ def list_sentences(
         why = f"It {ended}: {story.why}" if story.why else ""
         return [*(text for text in (why, when) if text), *list_questions(state, story.id)]
     found = [
-        f"#{step.index} {step.key!r} is {_describe_action(step.state)} on {local(step.module)} since "
+        f"#{step.index} {step.key!r} is in "
+        f"{'progress' if step.state == 'in flight' else 'an unknown state'} on {local(step.module)} since "
         f"{show_time(step.requested_at)} ({show_span(max(now - step.requested_at, 0) / 1e9)})"
         + (f": {step.error}" if step.error else "")
         + _describe_usual(state, story, step.index)
-        + _describe_setup(state, story, step.index)
-        + _companions(state, story, step.index)
+        + _describe_in_progress(state, story, step.index)
         for step in story.steps
         if step.state in ("in flight", "unknown")
     ]
@@ -131,24 +125,20 @@ def _describe_usual(state: LabState, story: RunHistory, index: int) -> str:
     return f"; it usually takes {show_span(usual_s)}, planned {show_span(planned_s)}"
 
 
-def _describe_setup(state: LabState, story: RunHistory, index: int) -> str:
-    """How long the set-up takes of the module for a step in progress."""
+def _describe_in_progress(state: LabState, story: RunHistory, index: int) -> str:
+    """How long the module is set up for a step in progress, and the other runs for which it carries it out at
+    the same time."""
+    text = ""
     for action in state.actions.open.values():
-        if (action.run, action.step) == (story.id, index):
-            flight = state.modules.by_name[action.module].in_flight.get(action.id)
-            if flight is not None and flight.setup_s:
-                return f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
-    return ""
-
-
-def _companions(state: LabState, story: RunHistory, index: int) -> str:
-    """The other runs for which the module carries out a step in progress at the same time."""
-    for action in state.actions.open.values():
-        if (action.run, action.step) == (story.id, index) and action.together:
-            open_ = [state.actions.open[name].run for name in action.together if name in state.actions.open]
-            others = [run for run in open_ if run != story.id]
-            return f"; together with {', '.join(others)}" if others else ""
-    return ""
+        if (action.run, action.step) != (story.id, index):
+            continue
+        flight = state.modules.by_name[action.module].in_flight.get(action.id)
+        if flight is not None and flight.setup_s:
+            text += f"; {local(action.module)} is set up for it first, {show_span(flight.setup_s)}"
+        runs = [state.actions.open[name].run for name in action.together if name in state.actions.open]
+        others = [run for run in runs if run != story.id]
+        text += f"; together with {', '.join(others)}" if others else ""
+    return text
 
 
 def list_questions(state: LabState, run: str) -> list[str]:
@@ -164,10 +154,6 @@ def _explain_how(question: Intervention) -> str:
     if question.kind == PlannedWork.KIND:
         return f"labos confirm {question.id}"
     return "; ".join(f"labos resolve {question.id} {c.name}" for c in question.choices)
-
-
-def _describe_action(state: str) -> str:
-    return "in progress" if state == "in flight" else "in an unknown state"
 
 
 def describe_progress(story: RunHistory) -> str:

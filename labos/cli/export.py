@@ -20,10 +20,11 @@ from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import file_option
+from labos.cli._out import report_done
 from labos.cli._query import (
     Where,
     as_moment,
-    log_and_json,
+    folder_and_json,
     log_options,
     now_ns,
     open_contents,
@@ -73,7 +74,7 @@ def command() -> None:
 @click.option("--license", "license_", default="", metavar="URL", help="The licence of the crate.")
 @click.option("--bundle", is_flag=True, help="Add the signed bundle of each run (`labos bundle`).")
 @file_option("--program", help="The source file of the experiment's application, to add to the crate.")
-@log_and_json
+@folder_and_json
 def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, program: Path | None) -> None:
     """Write a run, or the runs of an experiment, as an RO-Crate 1.1: workflow, payload, each step with its
     driver, times and user, labware, lots, results, and every file with its SHA-256.
@@ -103,7 +104,7 @@ def crate(where: Where, name: str, target: Path, license_: str, bundle: bool, pr
         files = _write(target, made.read_contents(blobs))
     facts = {"crate": str(target), "runs": runs, "files": files}
     count = "1 run" if len(runs) == 1 else f"{len(runs)} runs"
-    where.report(f"{target} holds {count} in {files} files.", facts)
+    report_done(f"{target} holds {count} in {files} files.", facts)
 
 
 def _read_program(path: Path) -> Program:

@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path, PurePath, PureWindowsPath
-from typing import TYPE_CHECKING
 
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import say_if_dead
-from labos.cli._out import end_with_json, show_table
-from labos.cli._query import (
-    Where,
-    at_option,
-    json_option,
-    log_options,
-    now_ns,
-    open_contents,
-    open_database,
-    open_log,
-)
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, show_lines, show_table
+from labos.cli._query import Where, log_at_and_json, now_ns, open_contents, open_database
 from labos.core.texts import CONTROL
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
@@ -28,11 +18,7 @@ from labos.services.history import find_position_at
 from labos.services.retention import note_retention
 from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
-from labos.settings import Settings
 from labos.store import FolderBlobs, open_blobs
-
-if TYPE_CHECKING:
-    pass
 
 COLUMNS = ("run", "step", "file", "bytes", "time", "sha256")
 SHORT = 12
@@ -60,9 +46,7 @@ SHORT = 12
     show_default=True,
     help="With --remove: the age of files to remove.",
 )
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(
     where: Where,
     run: str,
@@ -71,7 +55,6 @@ def command(
     unused: bool,
     remove: bool,
     keep_days: float,
-    as_json: bool,
     moment: Moment,
 ) -> None:
     """List or fetch files that steps have returned: pictures, traces, raw data.
@@ -91,11 +74,9 @@ def command(
     if unused:
         if run or to is not None:
             raise click.UsageError("--unused cannot be combined with RUN, FILE and --output.")
-        _show_unused(where, keep_days if remove else None, as_json=as_json)
+        _show_unused(where, keep_days if remove else None)
         return
-    with open_log(where) as store:
-        if moment == Moment():
-            say_if_dead(where.url, store.head(), last_known=False)
+    with open_current_log(where, moment, last_known=False) as store:
         found = list_files(store, run, find_position_at(store, moment))
     if file:
         found = _find_files(found, run, file)
@@ -104,11 +85,10 @@ def command(
             raise click.UsageError("Name the run with the files to fetch.")
         with open_contents(where) as blobs:
             written = _fetch(blobs, found, to, one=bool(file))
-        end_with_json({"written": written}, as_json)
-        for path in written if to != "-" else ():
-            click.echo(f"wrote {path}")
+        end_with_json({"written": written})
+        show_lines(written if to != "-" else (), "wrote ")
         return
-    end_with_json(found, as_json)
+    end_with_json(found)
     if found:
         show_table(COLUMNS, [_row(result_file) for result_file in found])
         if file:
@@ -117,14 +97,14 @@ def command(
         click.echo(f"{run or 'This lab'} has no files.")
 
 
-def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> None:
+def _show_unused(where: Where, keep_days: float | None) -> None:
     """List the files that no event names; with ``keep_days``, remove those that are older."""
     if where.lab:
         raise BadInput(
             "Unused files can be listed only on the lab's computer, in the lab's folder.",
             remedy="Use --home there.",
         )
-    blobs = open_blobs(Settings.make(where.home, where.url).blobs)
+    blobs = open_blobs(where.settings.blobs)
     if keep_days is not None and not isinstance(blobs, FolderBlobs):
         raise BadInput(
             "LabOS does not remove files in an object store.",
@@ -139,7 +119,7 @@ def _show_unused(where: Where, keep_days: float | None, *, as_json: bool) -> Non
         before = now_ns() / 1e9 - keep_days * 86_400
         removed = [name for name in found if blobs.remove_unused(name, before)]
         note_retention(where.home, "removed_at", now_ns())
-    end_with_json({"unused": found, "removed": removed}, as_json)
+    end_with_json({"unused": found, "removed": removed})
     for name in found:
         click.echo(f"{name}{' removed' if name in removed else ''}")
     message = f"{len(found)} files without a reference in the log"

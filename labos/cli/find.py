@@ -7,19 +7,18 @@ from typing import Any
 import click
 import msgspec
 
+from labos.audit._entry_tables import KINDS
 from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, as_time, log_and_json
 from labos.client import LabClient
 from labos.services.times import parse_time, show_time
 
-KIND = ("experiment", "run", "sample", "image", "file", "result", "publication")
-
 
 @click.command("find", short_help="Find experiments, runs, samples, images and results by words.")
 @click.argument("words", nargs=-1)
-@click.option("--kind", multiple=True, type=click.Choice(KIND), help="Only entries of this kind.")
+@click.option("--kind", multiple=True, type=click.Choice(KINDS), help="Only entries of this kind.")
 @click.option("--user", multiple=True, metavar="ID", help="Only entries of this user.")
 @click.option("--workcell", multiple=True, metavar="NAME", help="Only entries of this workcell.")
 @click.option(
@@ -66,7 +65,7 @@ def command(where: Where, words: tuple[str, ...], facets: bool, **options: Any) 
     else:
         with open_log_and_views(where) as (store, asker):
             found = find(asker, question, store.head().position)
-    where.end_with_json(found)
+    end_with_json(found)
     _show(found, question)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import click
 
+from labos.cli._forecast import show_campaign, show_runs, show_touches
 from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import end_with_json
 
 
 @click.command("forecast", short_help="Forecast when runs start and end, and when a person is needed.")
@@ -18,11 +20,9 @@ def command(asker: Asker) -> None:
     nobody else submits" does not. In a forecast no step fails, and nobody refills a resource. A run that
     needs a person first has no forecast.
     """
-    from labos.cli._forecast import show_campaign, show_runs, show_touches
-
     with asker.lab() as client:
         answer = client.forecast()
-    asker.end_with_json(answer)
+    end_with_json(answer)
     found = answer["forecast"]
     show_runs(found)
     for campaign in found["campaigns"]:

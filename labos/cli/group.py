@@ -8,7 +8,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._people import describe_roles
 
 _name = click.argument("name", metavar="GROUP")
@@ -46,7 +46,7 @@ def remove(name: str, asker: Asker) -> None:
     """Remove a group and its roles. Its members are then in no group."""
     with asker.lab() as client:
         client.remove_group(name, asker.user)
-    asker.end_with_json({"group": name, "removed": True})
+    end_with_json({"group": name, "removed": True})
 
 
 @command.command("list")
@@ -55,7 +55,7 @@ def list_groups(asker: Asker) -> None:
     """List all groups, with their weights, members and roles."""
     with asker.lab() as client:
         found = client.groups()
-    asker.end_with_json(found)
+    end_with_json(found)
     rows = [
         (group["name"], f"{group['weight']:g}", ", ".join(group["members"]), describe_roles(group["roles"]))
         for group in found
@@ -96,4 +96,4 @@ def remove_member(name: str, member: str, asker: Asker) -> None:
 
 
 def _show_group(groups: list[dict[str, Any]], name: str, asker: Asker) -> None:
-    asker.end_with_json(next(group for group in groups if group["name"] == name))
+    end_with_json(next(group for group in groups if group["name"] == name))

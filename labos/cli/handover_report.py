@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import click
 
-from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._liveness import find_lab_now, has_kernel, open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.services.describe import owner_name
 from labos.services.handover import Handover, OpenRun, read_handover
 from labos.services.times import parse_time, show_span, show_time
@@ -32,30 +32,30 @@ def command(where: Where, since: str) -> None:
     labos handover-report --since 2026-05-04T06:00 --json
     """
     began = parse_time(since, now_ns())
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         until = max(find_lab_now(where.url, store.head()), began)
         found = read_handover(store, began, until, kernel_runs=has_kernel(where.url))
-    where.end_with_json(found)
+    end_with_json(found)
     click.echo(f"{found.lab}: from {show_time(found.since)} to {show_time(found.until)}")
     _show_runs(found)
     _show_people(found)
     _show_bench(found)
-    click.echo()
-    click.echo(_describe_unattended(found))
+    click.echo(f"\n{_describe_unattended(found)}")
 
 
 def _show_runs(found: Handover) -> None:
-    click.echo()
     rows = [_run(run) for run in (*found.running, *found.queued)]
     more = found.queued_in_all - len(found.queued)
-    show_table(("run", "workflow", "user", "status", "steps", "does, or waits for"), rows, title="Runs")
+    show_table(
+        ("run", "workflow", "user", "status", "steps", "does, or waits for"), rows, title="Runs", gap=True
+    )
     if more:
         click.echo(f"{more} more are queued behind them: labos runs")
     if found.ended:
-        click.echo()
         ended = [(run.run, run.workflow, run.user, run.status, run.why) for run in found.ended]
-        show_table(("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift")
+        show_table(
+            ("run", "workflow", "user", "came out", "why"), ended, title="Ended in this shift", gap=True
+        )
 
 
 def _run(run: OpenRun) -> tuple[str, ...]:
@@ -66,8 +66,7 @@ def _run(run: OpenRun) -> tuple[str, ...]:
 
 
 def _show_people(found: Handover) -> None:
-    click.echo()
-    click.echo("Waits for a person")
+    click.echo("\nWaits for a person")
     for asked in found.questions:
         due = f" (due {show_time(asked.due_at)}{', LATE' if asked.overdue else ''})" if asked.due_at else ""
         click.echo(f"  {asked.id}{due}: {asked.text}")
@@ -83,7 +82,6 @@ def _show_people(found: Handover) -> None:
 
 def _show_bench(found: Handover) -> None:
     if found.labware:
-        click.echo()
         rows = [
             (
                 piece.labware,
@@ -93,9 +91,10 @@ def _show_bench(found: Handover) -> None:
             )
             for piece in found.labware
         ]
-        show_table(("labware", "type", "stands at", "belongs to"), rows, title="Labware that no run uses")
-    click.echo()
-    click.echo("Runs out next")
+        show_table(
+            ("labware", "type", "stands at", "belongs to"), rows, title="Labware that no run uses", gap=True
+        )
+    click.echo("\nRuns out next")
     for short in found.runs_out:
         click.echo(
             f"  {short.what} at {show_time(short.at)}, in {short.run} ({short.workflow}: {short.step!r})"

@@ -11,12 +11,15 @@ import click
 import msgspec
 
 from labos.cli._options import json_option
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
+from labos.spec.dialects import find_kind, make_unknown_error
 from labos.spec.findings import ASSUMED, make_finding
 from labos.spec.library import SUFFIXES
 from labos.spec.references import iterate_texts
+from labos.spec.source import read
+from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
 if TYPE_CHECKING:
     from labos.core.model import Description
@@ -73,7 +76,7 @@ class ImportOutcome(msgspec.Struct):
 )
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
-def command(path: str, output: str, force: bool, as_json: bool) -> None:
+def command(path: str, output: str, force: bool) -> None:
     """Convert workcells and workflows of WEI and MADSci, and labware of Opentrons, to LabOS' own format.
 
     The command searches a FOLDER for YAML files and keeps its structure. If a workcell file lacks
@@ -95,20 +98,15 @@ def command(path: str, output: str, force: bool, as_json: bool) -> None:
 
     outcome = read_all(Path(path), Path(output), descriptions())
     _write(outcome, force=force)
-    if as_json:
-        show_json(_show(outcome))
-    else:
-        _show_outcome(outcome)
+    end_with_json(_show(outcome), int(bool(outcome.refused)))
+    _show_outcome(outcome)
     if outcome.refused:
         raise click.exceptions.Exit(1)
 
 
 def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) -> ImportOutcome:
     """Read everything before anything is written. Raises NotFound."""
-    from labos.spec.dialects import find_kind, make_unknown_error
     from labos.spec.importing import Imported, Moved, import_spec
-    from labos.spec.source import read
-    from labos.spec.uses import read_uses, sort_workflows_by_workcell
 
     outcome = ImportOutcome()
     taken: set[Path] = set()

@@ -7,9 +7,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._complete import make_completer
+from labos.cli._liveness import open_current_log
 from labos.cli._options import Asker, asker_options, read_result, why_option
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._out import end_with_json, report_done, show_table
+from labos.cli._query import Where, log_and_json
 from labos.core.topics import PlannedWork
+from labos.errors import BadInput
+from labos.services.interventions import list_intervention_histories
+from labos.services.times import show_time
 
 if TYPE_CHECKING:
     from labos.services.interventions import InterventionHistory
@@ -33,20 +38,14 @@ def inbox(where: Where, module: str | None) -> None:
     labos inbox
     labos confirm I7 --why "put in upside up"
     """
-    from labos.cli._liveness import say_if_dead
-    from labos.cli._out import show_table
-    from labos.services.interventions import list_intervention_histories
-    from labos.services.times import show_time
-
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         stories = [story for story in list_intervention_histories(store).values() if story.open]
     entries = [
         story
         for story in sorted(stories, key=lambda story: story.due_at)
         if story.kind == PlannedWork.KIND and module in (None, story.module)
     ]
-    where.end_with_json([_as_json(story) for story in entries])
+    end_with_json([_as_json(story) for story in entries])
     asked = [story.id for story in stories if story.kind != PlannedWork.KIND]
     if not entries:
         click.echo("No planned work waits now.")
@@ -95,8 +94,6 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
     labos confirm I7 --result '{"colour": "red"}' --why "a little spilt"
     labos confirm I7 --not-done --why "there is no foil left"
     """
-    from labos.errors import BadInput
-
     with asker.lab() as client:
         questions = {q["id"]: q for q in client.state(waits=False)["interventions"]}
         asked = questions.get(intervention)
@@ -108,4 +105,4 @@ def confirm(intervention: str, not_done: bool, why: str, result: str | None, ask
         choice = "not_done" if not_done else "done"
         client.resolve(intervention, choice, asker.user, why, read_result(result))
     message = f"{intervention} is confirmed{' as not done' if not_done else ''}."
-    asker.report(message, {"id": intervention, "choice": choice})
+    report_done(message, {"id": intervention, "choice": choice})

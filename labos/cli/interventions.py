@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
-import msgspec
+from msgspec import to_builtins
 
-from labos.cli._liveness import find_lab_now, say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._liveness import find_lab_now, open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json
 from labos.core.state import LabState
 from labos.services.history import fold_state_at
 from labos.services.interventions import (
@@ -34,13 +32,12 @@ def command(where: Where, everything: bool) -> None:
     labos interventions --all      also answered questions
     labos resolve I2 done          answer one
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         stories = list(list_intervention_histories(store).values())
         now = find_lab_now(where.url, store.head())
         places = _find_places(fold_state_at(store)) if any(story.open for story in stories) else {}
     shown = [story for story in stories if everything or story.open]
-    where.end_with_json([_make_plain(story, places) for story in shown])
+    end_with_json([{**to_builtins(s), "open": s.open, "now": places.get(s.id, "")} for s in shown])
     answered = [story for story in shown if not story.open]
     if answered:
         rows = [_row(story) for story in answered]
@@ -85,7 +82,3 @@ def _row(story: InterventionHistory) -> tuple[str, ...]:
         ", ".join(story.about),
         story.text,
     )
-
-
-def _make_plain(story: InterventionHistory, places: dict[str, str]) -> dict[str, Any]:
-    return {**msgspec.to_builtins(story), "open": story.open, "now": places.get(story.id, "")}

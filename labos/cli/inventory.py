@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 import msgspec
 
-from labos.cli._liveness import say_if_dead
-from labos.cli._out import show_table
-from labos.cli._query import Where, log_and_json, now_ns, open_log
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json, now_ns
 from labos.core.ids import local
 from labos.services.history import fold_state_at
 from labos.services.inventory import (
@@ -33,32 +33,32 @@ def command(where: Where) -> None:
     labos inventory
     labos inventory --json
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         state = fold_state_at(store)
     now = max(now_ns(), state.recorded_at)
     found = count_inventory(state, now, iso_time(now)[:10])
-    where.end_with_json({"position": state.position, "time": iso_time(now), **msgspec.structs.asdict(found)})
+    end_with_json({"position": state.position, "time": iso_time(now), **msgspec.structs.asdict(found)})
     show_table(
         ("resource", "left", "of", "still needed", "lots", "runs out"),
         [_list_resource_cells(left) for left in found.resources],
         title=f"At {show_time(now)}; {found.runs_looked_at} open runs",
     )
-    click.echo()
     show_table(
         ("stack", "left", "of", "still needed", "top to bottom", "runs out"),
         [_list_stack_cells(left) for left in found.stacks],
+        gap=True,
     )
     if found.wastes:
-        click.echo()
         show_table(
             ("waste", "room", "of", "still to come", "full"),
             [_list_waste_cells(left) for left in found.wastes],
+            gap=True,
         )
     first = list_shortfalls(found)
     if first:
         name, out = first[0]
-        click.echo(f"\nFirst: {_shorten_name(name)} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
+        short = local(name).replace(":", " ")
+        click.echo(f"\nFirst: {short} at {show_time(out.at)}, in run {out.run} ({out.step!r}).")
 
 
 def _list_resource_cells(left: ResourceLeft) -> tuple[str, ...]:
@@ -96,7 +96,3 @@ def _list_waste_cells(left: WasteLeft) -> tuple[str, ...]:
     out = left.runs_out
     when = f"{show_time(out.at)}, run {out.run}" if out else ""
     return (local(left.station), str(left.room), str(left.capacity), str(left.promised), when)
-
-
-def _shorten_name(name: str) -> str:
-    return local(name).replace(":", " ")

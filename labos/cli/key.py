@@ -5,8 +5,9 @@ from __future__ import annotations
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._query import Where, log_and_json, now_ns, open_database
-from labos.errors import LabosError, NotFound
+from labos.cli._out import end_with_json, report_done
+from labos.cli._query import Where, find_lab_id, folder_and_json, now_ns
+from labos.errors import NotFound
 from labos.services.times import iso_time
 from labos.services.trust.keys import SigningKeys
 from labos.services.trust.tree import read_tree
@@ -39,32 +40,32 @@ def command() -> None:
     help="The name of the key, such as chem.example.org/lab1 (default: labos/ and the id of the lab).",
 )
 @witness_option
-@log_and_json
+@folder_and_json
 def create(where: Where, name: str | None, witness: bool) -> None:
     """Create the key pair. This is done once. Its name is in each checkpoint and identifies the lab."""
     public = SigningKeys(where.home).create(name or _own_name(where, witness), witness=witness)
-    where.report(public.text, {"public_key": public.text, "name": public.name})
+    report_done(public.text, {"public_key": public.text, "name": public.name})
 
 
 @command.command("show")
 @witness_option
-@log_and_json
+@folder_and_json
 def show(where: Where, witness: bool) -> None:
     """Print the public key. --json also shows the keys that it replaced."""
     keys = SigningKeys(where.home)
     if witness:
         text = keys.read_signing_key(witness=True).public.text
-        where.report(text, {"public_key": text})
+        report_done(text, {"public_key": text})
         return
     known = keys.list_public_keys()
     if not known:
         raise NotFound("This lab has no key.", remedy="Make one: labos key create")
-    where.end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
+    end_with_json({"public_key": known[-1].text, "earlier": [key.text for key in known[:-1]]})
     click.echo(known[-1].text)
 
 
 @command.command("rotate")
-@log_and_json
+@folder_and_json
 def rotate(where: Where) -> None:
     """Replace the key pair. The old private key signs the new public key and is then destroyed. Bundles
     contain this signature, so a person with the old public key can still check them."""
@@ -72,7 +73,7 @@ def rotate(where: Where) -> None:
     keys = SigningKeys(where.home)
     keys.rotate(size, iso_time(now_ns()))
     public = keys.list_public_keys()[-1]
-    where.end_with_json({"public_key": public.text, "size": size})
+    end_with_json({"public_key": public.text, "size": size})
     click.echo(public.text)
     click.echo(
         f"The old key signs nothing after position {size}. Give the new public key to people who "
@@ -81,11 +82,6 @@ def rotate(where: Where) -> None:
 
 
 def _own_name(where: Where, witness: bool) -> str:
-    try:
-        with open_database(where) as store:
-            head = store.head()
-    except LabosError:
-        head = None
-    if head is None or not head.lab:
+    if not (lab := find_lab_id(where)):
         raise click.UsageError("There is no log yet, and so no default name for the key: give --name NAME.")
-    return f"labos/{head.lab}/witness" if witness else f"labos/{head.lab}"
+    return f"labos/{lab}/witness" if witness else f"labos/{lab}"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_log
+from labos.cli._query import Where, log_at_and_json
 from labos.core.ids import local
 from labos.errors import NotFound
 from labos.services.describe import owner_name, shorten_value
@@ -24,16 +24,9 @@ from labos.services.times import Moment, show_span, show_time
     help="Show only labware that has left the bench, or only labware that is still there.",
 )
 @click.option("--barcode", metavar="CODE", help="Labware with this barcode, also if it has left the bench.")
-@json_option
-@at_option
-@log_options
+@log_at_and_json
 def command(
-    where: Where,
-    labware: str | None,
-    gone: bool | None,
-    barcode: str | None,
-    as_json: bool,
-    moment: Moment,
+    where: Where, labware: str | None, gone: bool | None, barcode: str | None, moment: Moment
 ) -> None:
     """List all labware. With an ID, show the history of one piece: its stations and times, its owners, and
     the actions on it with user and module. Each entry names the event in the log.
@@ -44,16 +37,14 @@ def command(
     labos labware P7 --at -1h      as it was known an hour ago
     labos labware --barcode LB0815   the piece with this barcode
     """
-    with open_log(where) as store:
+    with open_current_log(where, moment) as store:
         upto = find_position_at(store, moment)
-        if moment == Moment():
-            say_if_dead(where.url, store.head())
         found = {} if labware else list_labware_histories(store, upto)
         story = read_labware_history(store, labware, upto) if labware else None
     if labware:
         if story is None:
             raise NotFound(f"There is no labware {labware!r} in this log.", remedy="List it: labos labware")
-        end_with_json(story, as_json)
+        end_with_json(story)
         _show_history(story)
         return
     shown = [s for s in found.values() if gone is None or bool(s.gone) == gone]
@@ -61,7 +52,7 @@ def command(
         shown = [s for s in shown if s.barcode == barcode]
         if not shown:
             raise NotFound(f"No labware has the barcode {barcode!r}.", remedy="List it: labos labware")
-    end_with_json(shown, as_json)
+    end_with_json(shown)
     rows = [
         (
             s.id,
@@ -85,7 +76,6 @@ def _show_history(story: LabwareHistory) -> None:
         click.echo(f"Barcode: {story.barcode}")
     if values:
         click.echo(f"Variables: {values}")
-    click.echo()
     stays = [
         (
             " or ".join(local(place) or "gone" for place in stay.places) or "gone",
@@ -98,8 +88,7 @@ def _show_history(story: LabwareHistory) -> None:
         )
         for stay in story.stays
     ]
-    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations")
-    click.echo()
+    show_table(("place", "from", "to", "for", "by", "event", "hash"), stays, title="Stations", gap=True)
     changes = [
         (
             show_time(change.at),
@@ -111,4 +100,4 @@ def _show_history(story: LabwareHistory) -> None:
         )
         for change in story.changes
     ]
-    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History")
+    show_table(("at", "what", "became", "by", "event", "hash"), changes, title="History", gap=True)

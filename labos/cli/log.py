@@ -9,9 +9,10 @@ from typing import Any
 import click
 
 from labos.cli._complete import name_option
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._options import json_option_saying
-from labos.cli._query import Where, as_time, log_options, open_log
+from labos.cli._out import wants_json
+from labos.cli._query import Where, as_time, log_options
 from labos.core.envelope import Record
 from labos.core.registry import Event
 from labos.services.describe import describe
@@ -41,7 +42,7 @@ POLL_S = 0.25
 @click.option("-f", "--follow", is_flag=True, help="Show new events as they are added, until Ctrl-C.")
 @json_option_saying("One line for each event: envelope, hash and payload, as stored.")
 @log_options
-def command(where: Where, follow: bool, as_json: bool, **wanted: Any) -> None:
+def command(where: Where, follow: bool, **wanted: Any) -> None:
     """Show the log, one sentence for each event.
 
     \b
@@ -54,14 +55,13 @@ def command(where: Where, follow: bool, as_json: bool, **wanted: Any) -> None:
     An event is shown if it matches all filters. The first column is the position in the log. `labos
     stations --at POSITION` shows the lab at that moment.
     """
-    with open_log(where, stored=as_json) as store, suppress(KeyboardInterrupt):
-        head = store.head()
-        seen = head.position
-        say_if_dead(where.url, head, last_known=False)
+    stored = wants_json()
+    with open_current_log(where, stored=stored, last_known=False) as store, suppress(KeyboardInterrupt):
+        seen = store.head().position
         sieve = FilteredLog(store, LogFilter(**wanted))
         shown = 0
         for event, record in sieve.read_matching(seen):
-            _show(sieve, event, record, as_json)
+            _show(sieve, event, record)
             shown += 1
         if (user := sieve.wanted.user) and not shown and not sieve.knows_user():
             click.echo(f"labos: This log has no events by {user!r} or for {user!r}.", err=True)
@@ -69,13 +69,13 @@ def command(where: Where, follow: bool, as_json: bool, **wanted: Any) -> None:
             end = store.head().position
             if end > seen:
                 for event, record in sieve.read_later(seen, end):
-                    _show(sieve, event, record, as_json)
+                    _show(sieve, event, record)
                 seen = end
             time.sleep(POLL_S)
 
 
-def _show(sieve: FilteredLog, event: Event, record: Record, as_json: bool) -> None:
-    if as_json:
+def _show(sieve: FilteredLog, event: Event, record: Record) -> None:
+    if wants_json():
         click.echo(encode_record(record))
         return
     head = record.head

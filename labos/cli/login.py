@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
-from labos.cli._out import report
+from labos.cli._out import end_with_json, report_done
+from labos.cli._secret import ask_password
+from labos.errors import NotFound, NotSignedIn
+from labos.services.times import iso_time
+from labos.settings import check_url
 
 if TYPE_CHECKING:
     from labos.client import LabClient
@@ -58,15 +62,7 @@ HOW = {
 @home_option
 @json_option
 def login(
-    url: str,
-    user: str,
-    device: bool,
-    code: bool,
-    port: int,
-    scope: str,
-    days: float,
-    home: str | None,
-    as_json: bool,
+    url: str, user: str, device: bool, code: bool, port: int, scope: str, days: float, home: str | None
 ) -> None:
     """Sign in to the lab at URL (LABOS_URL, or the lab in the folder). Later commands then run as you.
 
@@ -87,8 +83,6 @@ def login(
 
     from labos.cli._provider import Way, sign_in
     from labos.client._token import keep_token
-    from labos.errors import NotFound
-    from labos.services.times import iso_time
 
     if device and code:
         raise click.UsageError("Give either --device or --code.")
@@ -105,42 +99,32 @@ def login(
         except NotFound:
             if device or code:
                 raise
-            found = _sign_in_by_password(
-                client, find_user(user or os.environ.get("LABOS_USER")), label, scope, days
-            )
+            name = find_user(user or os.environ.get("LABOS_USER"))
+            password = ask_password(f"Password of {name}")
+            found = client.sign_in(name, password, label=label, scope=scope, days=days)
         keep_token(place, found["token"])
     until = iso_time(found["until"])[:16]
     facts = {"user": found["user"], "place": place, "until": found["until"], "scope": scope}
-    report(f"You are signed in as {found['user']} at {place}, until {until}.", facts, as_json=as_json)
-
-
-def _sign_in_by_password(client: LabClient, name: str, label: str, scope: str, days: float) -> dict[str, Any]:
-    from labos.cli._secret import ask_password
-
-    password = ask_password(f"Password of {name}")
-    return client.sign_in(name, password, label=label, scope=scope, days=days)
+    report_done(f"You are signed in as {found['user']} at {place}, until {until}.", facts)
 
 
 @click.command("logout")
 @click.argument("url", default="", metavar="[URL]")
 @home_option
 @json_option
-def logout(url: str, home: str | None, as_json: bool) -> None:
+def logout(url: str, home: str | None) -> None:
     """Sign out of the lab at URL (LABOS_URL, or the lab in the folder). The token is revoked and deleted."""
     from labos.client._token import find_kept_token, keep_token
-    from labos.errors import NotSignedIn
 
     with _find_lab(url, home) as client:
         place = client.token_place
         if not (kept := find_kept_token(place)):
-            report(
-                f"You have not signed in to {place}.", {"place": place, "signed_out": False}, as_json=as_json
-            )
+            report_done(f"You have not signed in to {place}.", {"place": place, "signed_out": False})
             return
     with suppress(NotSignedIn), _find_lab(url, home, kept) as client:  # also if LABOS_TOKEN is set
         client.sign_out()  # else the token was not valid any more
     keep_token(place, "")
-    report(f"You are signed out of {place}.", {"place": place, "signed_out": True}, as_json=as_json)
+    report_done(f"You are signed out of {place}.", {"place": place, "signed_out": True})
 
 
 def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
@@ -148,7 +132,6 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
     address."""
     from labos.cli._lab import need_lab
     from labos.client import LabClient
-    from labos.settings import check_url
 
     if not url:
         return need_lab(home, token)
@@ -161,11 +144,9 @@ def _find_lab(url: str, home: str | None, token: str = "") -> LabClient:
 @lab_and_json
 def whoami(asker: Asker) -> None:
     """Show the name of the signed-in user, and your rights in the lab."""
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         found = client.identity()
-    asker.end_with_json(found)
+    end_with_json(found)
     if found["how"] == "open":
         click.echo(f"{find_user(None)} (by your login: {HOW['open']}, and every user has all rights)")
         return

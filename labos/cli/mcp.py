@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 from labos.cli._options import home_option
+from labos.cli._remote import is_given, lab_of
+from labos.errors import BadInput
+
+FOR_HTTP = {
+    "host": "--host",
+    "names": "--name",
+    "certificate": "--tls-cert",
+    "behind_proxy": "--behind-proxy",
+}
 
 
 @click.command("mcp", short_help="Let an agent read the lab, plan and propose work.")
@@ -24,20 +35,13 @@ from labos.cli._options import home_option
     metavar="HOST",
     help="A further name under which agents reach the server.",
 )
-@click.option("--tls-cert", default="", metavar="FILE", help="A certificate, for HTTP over TLS.")
-@click.option("--tls-key", default="", metavar="FILE", help="Its private key.")
+@click.option(
+    "--tls-cert", "certificate", default="", metavar="FILE", help="A certificate, for HTTP over TLS."
+)
+@click.option("--tls-key", "key", default="", metavar="FILE", help="Its private key.")
 @click.option("--behind-proxy", is_flag=True, help="Another program provides TLS for this server.")
 @home_option
-def command(
-    behalf: str,
-    http_port: int | None,
-    host: str,
-    names: tuple[str, ...],
-    tls_cert: str,
-    tls_key: str,
-    behind_proxy: bool,
-    home: str | None,
-) -> None:
+def command(behalf: str, http_port: int | None, home: str | None, **served: Any) -> None:
     """Run a server of the Model Context Protocol on standard input and output. The agent's program starts
     this server. The server signs in to the lab as a service account, with the token in LABOS_TOKEN.
 
@@ -55,8 +59,6 @@ def command(
     LABOS_URL=https://lab:8710 labos mcp --http-port 8711
     """
     from labos.cli._lab import end_in_order
-    from labos.cli._remote import is_given, lab_of
-    from labos.errors import BadInput
     from labos.http.server import Listening
     from labos.mcp.server import make_server, sign_in
 
@@ -68,8 +70,9 @@ def command(
             remedy='Run: pip install "labos-sdl[mcp]"',
         ) from None
     if http_port is None:
-        if given := [name for name in ("host", "names", "tls_cert", "behind_proxy") if is_given(name)]:
-            raise click.UsageError(f"--{given[0].rstrip('s').replace('_', '-')} goes with --http-port.")
+        for name, option in FOR_HTTP.items():
+            if is_given(name):
+                raise click.UsageError(f"{option} goes with --http-port.")
         with sign_in(lab_of(home), home, behalf=behalf) as lab:
             make_server(lab).run("stdio")
         return
@@ -77,6 +80,6 @@ def command(
         raise click.UsageError("Over HTTP each agent names its user (LabOS-On-Behalf-Of).")
     from labos.mcp.http import serve
 
-    listening = Listening(host, http_port, names, tls_cert, tls_key, behind_proxy)
+    listening = Listening(port=http_port, **served)
     with end_in_order():
         serve(lab_of(home), home, listening, lambda url: click.echo(f"Agents reach the lab at {url}"))

@@ -9,7 +9,8 @@ from pathlib import Path
 import click
 
 from labos.cli._options import json_option
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, show_lines
+from labos.cli.schema import write_schema
 from labos.errors import BadInput
 
 SKELETONS = Path(__file__).with_name("skeletons")
@@ -29,7 +30,7 @@ _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ ()\-]*")
 @click.argument("name")
 @click.option("--force", is_flag=True, help="Overwrite existing files.")
 @json_option
-def command(kind: str, name: str, force: bool, as_json: bool) -> None:
+def command(kind: str, name: str, force: bool) -> None:
     """Create a template of a workcell, a workflow or an application with this NAME.
 
     NAME may be a path. The files work without changes: the workflow runs on the new workcell, and also on
@@ -64,13 +65,11 @@ def command(kind: str, name: str, force: bool, as_json: bool) -> None:
             file.write_text(text, encoding="utf-8")
         except OSError as error:
             raise BadInput(f"{file} cannot be written: {error.strerror or error}.") from None
-    end_with_json({"written": [str(file) for file in files]}, as_json)
-    for file in files:
-        click.echo(f"wrote {file}")
+    end_with_json({"written": [str(file) for file in files]})
+    show_lines(files, "wrote ")
     first = next(iter(files))
     click.echo("Next:")
-    for line in NEXT[kind].format(file=shlex.quote(str(first))).splitlines():
-        click.echo(f"  {line}")
+    show_lines(NEXT[kind].format(file=shlex.quote(str(first))).splitlines(), "  ")
 
 
 def _make_files(kind: str, folder: Path, name: str) -> dict[Path, str]:
@@ -94,7 +93,5 @@ def _make_modeline(kind: str) -> str:
 
 
 def _make_schemas(kind: str, folder: Path) -> dict[Path, str]:
-    from labos.cli.schema import write_schema
-
     kind = "workflow" if kind == "app" else kind
     return {folder / SCHEMAS / f"{kind}.schema.json": write_schema(kind)}

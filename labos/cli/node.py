@@ -13,10 +13,20 @@ import click
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._node_install import install
-from labos.cli._options import Asker, asker_options, cert_option, home_option, json_option, why_option
-from labos.cli._out import end_with_json, report
+from labos.cli._options import (
+    Asker,
+    asker_options,
+    cert_option,
+    folder_home_option,
+    json_option,
+    user_option,
+    why_option,
+)
+from labos.cli._out import end_with_json, report_done
+from labos.clock import SystemClock, Uuid7Ids
 from labos.errors import BadInput, NotFound
 from labos.settings import HOME, Settings, keep_private
+from labos.telemetry.logs import configure_logs
 
 
 @click.group("node", cls=Suggesting)
@@ -48,7 +58,7 @@ def command() -> None:
 )
 @click.option("--secure", is_flag=True, help="Connect only to a secure bus (tls/HOST:PORT).")
 @cert_option
-@home_option
+@folder_home_option
 @click.option(
     "--with-parent",
     is_flag=True,
@@ -65,15 +75,12 @@ def start(
     workcell: str,
     simulate: bool,
     wire: bool,
-    trace: str,
     metrics_port: int | None,
     metrics_host: str,
-    connect: tuple[str, ...],
     secure: bool,
     cert: Path | None,
     home: str | None,
-    with_parent: bool,
-    finish_s: float | None,
+    **more: Any,
 ) -> None:
     """Run the node of a module until it is stopped. DRIVER defaults to the driver in the workcell file.
 
@@ -90,7 +97,6 @@ def start(
         raise click.UsageError("--wire is for simulated devices: add --simulate.")
 
     from labos.bootstrap import run_node
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("info")
     keep_private()
@@ -103,15 +109,12 @@ def start(
             name,
             workcell,
             settings,
-            connect=connect,
             certificate=cert.absolute() if cert is not None else None,
             secure=secure or cert is not None,
             simulate=simulate,
             wire=wire,
-            trace=trace,
             metrics=(metrics_host, metrics_port) if metrics_port is not None else None,
-            with_parent=with_parent,
-            finish_s=finish_s,
+            **more,
         )
     )
 
@@ -133,8 +136,12 @@ def _expect_home(settings: Settings, named: str | None) -> None:
 @click.option("--epoch", type=int, help="The epoch of the lab's kernel, as `labos db status` shows it.")
 @click.option("--position", type=int, help="The end of the lab's log, as `labos db status` shows it.")
 @why_option("The reason, for the journal.", required=True)
-@asker_options
-def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, asker: Asker) -> None:
+@user_option
+@folder_home_option
+@json_option
+def reset_epoch(
+    module: str, epoch: int | None, position: int | None, why: str, user: str, home: str | None
+) -> None:
     """Correct a wrong number in MODULE's journal: an epoch that no kernel of the lab ever had, or an
     acknowledged position that the lab's log never reached.
 
@@ -151,12 +158,12 @@ def reset_epoch(module: str, epoch: int | None, position: int | None, why: str, 
 
     if epoch is None and position is None:
         raise click.UsageError("Give the number to correct: --epoch, --position or both.")
-    path = Settings.make(asker.home).journal(module)
+    path = Settings.make(home).journal(module)
     if not path.exists():
         raise NotFound(f"There is no journal {path}.", remedy="Name WORKCELL/MODULE, and its --home.")
-    was, now = asyncio.run(_correct(path, epoch, position, cut_name(asker.user), cut(why)))
+    was, now = asyncio.run(_correct(path, epoch, position, cut_name(user), cut(why)))
     facts = {"journal": str(path), "epoch": now.epoch, "position": now.position, "was": was._asdict()}
-    asker.report(f"{path}: {now} (it was {was}).", facts)
+    report_done(f"{path}: {now} (it was {was}).", facts)
 
 
 @command.command("trace")
@@ -174,15 +181,15 @@ def trace_command(module: str, off: bool, asker: Asker) -> None:
     with asker.lab() as client:
         file = client.trace(module, asker.user, on=not off)
     message = f"{module}: {'written to' if not off else 'no longer written to'} {file}"
-    asker.report(message, {"module": module, "file": file, "on": not off})
+    report_done(message, {"module": module, "file": file, "on": not off})
 
 
 @command.command("accept-unit")
 @click.argument("module")
 @click.argument("serial", required=False, default="")
-@home_option
+@folder_home_option
 @json_option
-def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> None:
+def accept_unit(module: str, serial: str, home: str | None) -> None:
     """Accept another unit as the device of MODULE: the unit with this SERIAL number, or without SERIAL the
     unit that is connected next.
 
@@ -205,7 +212,7 @@ def accept_unit(module: str, serial: str, home: str | None, as_json: bool) -> No
     else:
         forget_unit(file)
     message = f"{module}: {serial or 'the next unit'} is accepted (it was {was or 'none'}). Reset the module."
-    report(message, {"module": module, "serial": serial, "was": was}, as_json=as_json)
+    report_done(message, {"module": module, "serial": serial, "was": was})
 
 
 command.add_command(install)
@@ -226,23 +233,22 @@ async def _correct(
 ) -> tuple[JournalFacts, JournalFacts]:
     """Correct a journal with a person's facts; returns its facts before and after. Raises JournalError (its
     node is running), JournalDamaged, BadInput."""
-    from labos.clock import SystemClock, Uuid7Ids
     from labos.node.journal import Journal
     from labos.node.journal_file import FileJournalFile
 
     clock = SystemClock()
     journal = await Journal.open(FileJournalFile(path), Uuid7Ids())
     try:
-        was = JournalFacts(journal.epoch, journal.pruned)
+        was = JournalFacts(journal.memory.epoch, journal.memory.pruned)
         journal.correct(
-            epoch=journal.epoch if epoch is None else epoch,
-            position=journal.pruned if position is None else position,
+            epoch=journal.memory.epoch if epoch is None else epoch,
+            position=journal.memory.pruned if position is None else position,
             by=by,
             at_ns=clock.now_ns(),
             why=why,
         )
         await journal.sync()
-        return was, JournalFacts(journal.epoch, journal.pruned)
+        return was, JournalFacts(journal.memory.epoch, journal.memory.pruned)
     finally:
         await journal.close()
 
@@ -277,7 +283,7 @@ def fork_server(link: int) -> None:
     help="Further keys below `config:` of the module, in YAML.",
 )
 @json_option
-def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_json: bool) -> None:
+def about(interface: str, address: str, auth: str, more: tuple[str, ...]) -> None:
     """Ask a foreign node for its actions, and print them as a module for a workcell file.
 
     INTERFACE is the adapter (wei_rest_node, madsci_rest_node, sila_node, tcp_node, wei_ros_node). ADDRESS
@@ -301,7 +307,7 @@ def about(interface: str, address: str, auth: str, more: tuple[str, ...], as_jso
     config |= dict(map(_read_setting, more))
     described = asyncio.run(describe_foreign(interface, config))
     module = {"interface": interface, "config": config, "about": make_about(described)}
-    end_with_json(module, as_json)
+    end_with_json(module)
     click.echo(to_yaml(module), nl=False)
 
 

@@ -10,9 +10,14 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._exit import DONE, FAILED
-from labos.cli._query import Where, log_and_json, open_log, read_kernel_file
+from labos.cli._lab import need_lab_of
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, show_table
+from labos.cli._query import Where, log_and_json
 from labos.core.ids import local
 from labos.errors import NotFound
+from labos.services.history import fold_state_at
+from labos.settings import find_kernel, last_kernel
 
 REMEDIES = {
     "ERROR": "Solve the reported problem, then run: labos reset {module}",
@@ -45,43 +50,34 @@ def command(where: Where, modules: tuple[str, ...], check: bool) -> None:
     the module is bound, the device's firmware, and its observations. If a module cannot work, the check
     reports a remedy.
     """
-    from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_table
-    from labos.settings import find_kernel
-
     if check or modules:
         _check(where, modules)
         return
     if not where.lab and find_kernel(where.home) is None:
-        if not where.database and not (where.home / "labos.db").exists() and not read_kernel_file(where.home):
+        was_here = (where.home / "labos.db").exists() or last_kernel(where.home) is not None
+        if not where.database and not was_here:
             raise NotFound(f"No lab runs in {where.home}.", remedy="Start one with `labos up`.")
         known = _list_last_known(where)
     else:
         with need_lab_of(where) as client:
             known = [_drop_old_name(one) for one in client.state(waits=False)["modules"]]
-    where.end_with_json(known)
-    columns, rows = ["module", "driver", "status", "doing", "pid", "problem"], list(map(_row, known))
-    if any(map(_find_valid_until, known)):  # most labs have none
-        columns.append("calibrated until")
-        rows = [(*row, _find_valid_until(module)) for row, module in zip(rows, known, strict=True)]
-    show_table(columns, rows)
+    end_with_json(known)
+    columns = ("module", "driver", "status", "doing", "pid", "problem", "calibrated until")
+    show_table(columns, list(map(_row, known)), optional="calibrated until")
 
 
 def _check(where: Where, names: Sequence[str]) -> None:
-    from labos.cli._lab import need_lab_of
-    from labos.cli._out import show_table
-
     with need_lab_of(where) as client:
         found = [_drop_old_name(one) for one in client.check_nodes(names)]
     unable = [one for one in found if one["answer"] not in ("IDLE", "BUSY")]
-    where.end_with_json(found, FAILED if unable else DONE)
+    end_with_json(found, FAILED if unable else DONE)
     columns = ("module", "answers", "driver", "labos", "unit", "firmware", "sees")
     show_table(columns, [_list_columns(one) for one in found])
     for one in unable:
         remedy = REMEDIES.get(one["answer"], "").format(module=local(one["module"]))
         click.echo(f"{local(one['module'])}: {one['why'].rstrip('.')}. {remedy}".rstrip())
     if unable:
-        raise SystemExit(FAILED)
+        click.get_current_context().exit(FAILED)
 
 
 def _drop_old_name(one: dict[str, Any]) -> dict[str, Any]:
@@ -109,12 +105,9 @@ def _flatten_seen(seen: dict[str, Any]) -> list[tuple[str, Any]]:
 
 def _list_last_known(where: Where) -> list[dict[str, Any]]:
     """The modules according to the log. Raises NotFound if there is none."""
-    from labos.cli._liveness import say_if_dead
     from labos.http.views import list_calibrations
-    from labos.services.history import fold_state_at
 
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         state = fold_state_at(store)
     doing = state.actions.open
     return [
@@ -153,4 +146,5 @@ def _row(module: dict[str, Any]) -> tuple[str, ...]:
     is_well = module["status"] in ("IDLE", "BUSY") and not module["out_of_service"]
     problem = "" if is_well else module["problem"]
     driver = f"{module['driver']}{' (simulated)' if module['simulated'] else ''}"
-    return (module["module"], driver, module["status"], doing, str(process.get("pid") or ""), problem)
+    pid, until = str(process.get("pid") or ""), _find_valid_until(module)
+    return (module["module"], driver, module["status"], doing, pid, problem, until)

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._group import Suggesting
-from labos.cli._liveness import say_if_dead
-from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, json_option, log_and_json, log_options, open_log
+from labos.cli._lab import end_in_order
+from labos.cli._liveness import open_current_log
+from labos.cli._out import end_with_json, report_done, show_table
+from labos.cli._query import Where, find_lab_id, folder_and_json, folder_options
 from labos.clock import SystemClock
 from labos.errors import LabosError, NotFound, StoreError
 from labos.services.shown import show_struct
 from labos.services.times import iso_time, show_time
-from labos.settings import Settings
 from labos.spec.findings import suggest_name
 from labos.store import find_lease_holder, find_silent_holder
 
@@ -37,10 +37,9 @@ LOOK_EVERY_S = 2.0
 @click.option(
     "--last", type=click.IntRange(min=1), default=50, show_default=True, help="The maximum number of entries."
 )
-@json_option
-@log_options
+@folder_and_json
 @click.pass_context
-def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int, as_json: bool) -> None:
+def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last: int) -> None:
     """List sent and unsent notifications. LabOS notifies contacts of questions, missed windows, unavailable
     modules, failed runs, and a stopped kernel.
 
@@ -57,16 +56,15 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
         return
     from labos.services.notify import Outbox
 
-    path = _make_settings(where).notifications
+    path = where.settings.notifications
     found = []
     if path.is_file():
         outbox = Outbox(path, create=False)
         found = outbox.list_deliveries(contact, waiting=waiting, last=last)
         outbox.close()
-    with suppress(LabosError), open_log(where) as store:  # there may be no lab yet
-        say_if_dead(where.url, store.head(), last_known=False)
+    with suppress(LabosError), open_current_log(where, last_known=False) as store:  # there may be no lab yet
         found = [show_struct(store, delivery) for delivery in found]
-    end_with_json([_list_facts(delivery) for delivery in found], as_json)
+    end_with_json([_list_facts(delivery) for delivery in found])
     rows = [
         (
             delivery.contact,
@@ -84,7 +82,7 @@ def command(ctx: click.Context, where: Where, contact: str, waiting: bool, last:
 
 @command.command("test")
 @click.argument("contact")
-@log_and_json
+@folder_and_json
 def test(where: Where, contact: str) -> None:
     """Send a test message to CONTACT now, also in quiet hours, and report whether it was accepted.
 
@@ -95,19 +93,20 @@ def test(where: Where, contact: str) -> None:
     from labos.services.notify.channels import send
     from labos.services.notify.notifier import test_message
 
-    book: Book = load_contacts(_make_settings(where).contacts)
+    book: Book = load_contacts(where.settings.contacts)
     if contact not in book.contacts:
         remedy = suggest_name(contact, book.contacts, "contact")
         raise NotFound(f"The contacts file has no contact {contact!r}.", remedy=remedy)
-    message = test_message(_find_lab_id(where), contact, SystemClock())
+    # A contact can be tested before there is a lab.
+    message = test_message(find_lab_id(where), contact, SystemClock())
     send(book, book.contacts[contact], message)
     channel = book.contacts[contact].channel
     text = f"A test message was sent to {contact} by {channel}: {message.id}"
-    where.report(text, {"contact": contact, "channel": channel, "message": message.id})
+    report_done(text, {"contact": contact, "channel": channel, "message": message.id})
 
 
 @command.command("watch")
-@log_options
+@folder_options
 def watch(where: Where) -> None:
     """Send notifications from a separate process, until Ctrl-C. It also notifies you if the kernel is dead.
 
@@ -119,9 +118,8 @@ def watch(where: Where) -> None:
     labos notifications watch --home lab
     """
     from labos.bootstrap import find_contacts, make_notifier
-    from labos.cli._lab import end_in_order
 
-    settings = _make_settings(where)
+    settings = where.settings
     book = find_contacts(settings)
     if book is None:
         raise NotFound(
@@ -156,18 +154,6 @@ def _look(where: Where, notifier: Notifier) -> None:
         notifier.turn()
     except StoreError as error:
         click.echo(f"labos: {error}", err=True)
-
-
-def _make_settings(where: Where) -> Settings:
-    return Settings.make(where.home, where.url)
-
-
-def _find_lab_id(where: Where) -> str:
-    try:
-        with open_log(where) as store:
-            return store.head().lab
-    except LabosError:
-        return ""  # a contact can be tested before there is a lab
 
 
 def _list_facts(delivery: Delivery) -> dict[str, Any]:

@@ -10,9 +10,9 @@ import msgspec
 
 from labos.cli._group import Suggesting
 from labos.cli._options import pki_option, why_option
-from labos.cli._out import report
-from labos.cli._query import Where, log_and_json, now_ns, open_database
-from labos.errors import LabosError, NotFound
+from labos.cli._out import end_with_json, report_done
+from labos.cli._query import Where, find_lab_id, folder_and_json, now_ns
+from labos.errors import NotFound
 from labos.pki import KINDS, PROCESS_NAME, Authority, CertificateEntry, PartyIdentity
 from labos.services.times import show_time
 from labos.settings import Settings
@@ -58,7 +58,7 @@ def command() -> None:
 )
 @days_option
 @pki_option
-@log_and_json
+@folder_and_json
 def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> None:
     """Create the authority. This is done once. With its private key (ca.key) a person can act as any kernel
     or node, so keep it secret. You can store it offline. It is needed only to issue, renew and revoke."""
@@ -69,7 +69,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> N
     authority.init(f"LabOS authority of {gethostname()}"[:64], site=ca, **more)
     facts = {"folder": str(authority.folder), "issues": authority.issues}
     who = "LabOS issues the certificates" if authority.issues else "the site issues the certificates"
-    where.report(f"{authority.folder}: {who}.", facts)
+    report_done(f"{authority.folder}: {who}.", facts)
 
 
 @command.command("issue")
@@ -79,7 +79,7 @@ def init(where: Where, ca: Path | None, days: int | None, pki: Path | None) -> N
 @days_option
 @lab_option
 @pki_option
-@log_and_json
+@folder_and_json
 def issue(
     where: Where,
     kind: Any,
@@ -104,7 +104,7 @@ def issue(
     identity = _make_identity(where, kind, name, lab)
     more = {"days": days} if days else {}
     entry = authority.issue(identity, addresses=address, **more)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("admit")
@@ -126,7 +126,7 @@ def issue(
 )
 @lab_option
 @pki_option
-@log_and_json
+@folder_and_json
 def admit(
     where: Where, kind: Any, name: str, certificate: Path, key: Path, lab: str | None, pki: Path | None
 ) -> None:
@@ -138,17 +138,17 @@ def admit(
     """
     authority = _find_authority(where, pki)
     entry = authority.admit(_make_identity(where, kind, name, lab), certificate, key)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("list")
 @pki_option
-@log_and_json
+@folder_and_json
 def list_(where: Where, pki: Path | None) -> None:
     """List all certificates: holder, end of validity, and whether they are revoked."""
     authority = _find_authority(where, pki)
     entries = authority.read_members().entries
-    where.end_with_json([_list_facts(authority, entry) for entry in entries])
+    end_with_json([_list_facts(authority, entry) for entry in entries])
     for entry in entries:
         click.echo(f"{entry.identity.shown:<28} {_describe_state(entry):<40} CN {entry.common_name}")
     if not entries:
@@ -160,21 +160,21 @@ def list_(where: Where, pki: Path | None) -> None:
 @address_option
 @days_option
 @pki_option
-@log_and_json
+@folder_and_json
 def renew(where: Where, name: str, address: tuple[str, ...], days: int | None, pki: Path | None) -> None:
     """Issue a new key and certificate for NAME, with the same common name. If another computer uses them,
     copy the folder again; a node there detects the change by itself. The kernel renews its own
     certificate, and those of the nodes that it starts, when a third of their validity is left."""
     authority = _find_authority(where, pki)
     entry = authority.renew(authority.find(name), addresses=address, days=days or 0)
-    _report_folder(authority, entry, where.as_json)
+    _report_folder(authority, entry)
 
 
 @command.command("revoke")
 @click.argument("name")
 @why_option("The reason, for the list.", required=True)
 @pki_option
-@log_and_json
+@folder_and_json
 def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     """Revoke the certificate NAME. A running lab or bus refuses it within two seconds. If the bus is on
     another computer, copy its folder again. The command also writes a revocation list (crl.pem) for other
@@ -182,7 +182,7 @@ def revoke(where: Where, name: str, why: str, pki: Path | None) -> None:
     authority = _find_authority(where, pki)
     entry = authority.revoke(authority.find(name), why)
     message = f"The {entry.identity.shown} can no longer connect with CN {entry.common_name}."
-    where.report(message, _list_facts(authority, entry))
+    report_done(message, _list_facts(authority, entry))
 
 
 def _find_authority(where: Where, pki: Path | None) -> Authority:
@@ -197,21 +197,16 @@ def _make_identity(where: Where, kind: Any, name: str, lab: str | None) -> Party
         raise click.UsageError(f"{name!r} is not a name for an API process: use a-z, 0-9 and -.")
     if kind == "node" and name.count("/") != 1:
         raise click.UsageError(f"{name!r} is not a node's name: write WORKCELL/MODULE.")
-    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _find_lab_in(where))
+    return PartyIdentity(kind, name, "" if kind == "bus" else lab or _expect_lab_id(where))
 
 
-def _find_lab_in(where: Where) -> str:
-    try:
-        with open_database(where) as store:
-            found = store.head().lab
-    except LabosError:
-        found = None
-    if not found:
+def _expect_lab_id(where: Where) -> str:
+    if not (found := find_lab_id(where)):
         raise NotFound(
             "There is no log yet, so the lab's id is unknown.",
             remedy="Start the lab once (labos up … --secure), or give its id: --lab-id ID.",
         )
-    return str(found)
+    return found
 
 
 def _describe_state(entry: CertificateEntry) -> str:
@@ -230,6 +225,6 @@ def _list_facts(authority: Authority, entry: CertificateEntry) -> dict[str, Any]
     return {**found.pop("identity"), **found, "folder": str(authority.credentials(entry.identity).folder)}
 
 
-def _report_folder(authority: Authority, entry: CertificateEntry, as_json: bool) -> None:
+def _report_folder(authority: Authority, entry: CertificateEntry) -> None:
     facts = _list_facts(authority, entry)
-    report(str(facts["folder"]), facts, as_json=as_json)
+    report_done(str(facts["folder"]), facts)

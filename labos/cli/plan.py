@@ -9,9 +9,10 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._remote import is_given
 from labos.core.effects import Carrying, Claims, Needs
 from labos.core.ids import StationName, local
 from labos.core.lengths import Lengths
@@ -19,7 +20,18 @@ from labos.core.model import MAIN, ON_CANCEL
 from labos.core.structs import make_from
 from labos.core.watching import list_end_stations
 from labos.errors import LabosError
-from labos.planning.certificate import Certificate
+from labos.planning.certificate import Certificate, find_order
+from labos.planning.timetable import (
+    count_taken,
+    find_setups,
+    make_timetable,
+    sum_consumption,
+    with_learned,
+    with_setups,
+)
+from labos.services.describe import shorten_value
+from labos.services.history import fold_state_at
+from labos.services.times import show_span
 
 if TYPE_CHECKING:
     from labos.core.model import PlanStep, Workcell
@@ -155,20 +167,16 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
         left_out=loaded.left_out,
     )
     compiled = check_windows(compiled, loaded.workcell)
-    for finding in compiled.findings:
-        click.echo(f"labos: {finding}", err=True)
+    show_lines(compiled.findings, "labos: ", err=True)
     lab, lengths, pace = _ask_lab(where)
     outline = outline_of(compiled, loaded.workcell, lengths, pace, lab)
-    where.end_with_json(outline)
+    end_with_json(outline)
     _show_outline(outline)
 
 
 def _ask_lab(where: Where) -> tuple[str, Lengths, float]:
     """The lab that was asked, the durations that it has learned, and its pace; no name if there is no lab. A
     lab that the command line does not name need not answer. Raises LabosError."""
-    from labos.cli._remote import is_given
-    from labos.services.history import fold_state_at
-
     named = is_given("home") or is_given("database")
     if not (named or where.lab or where.database or where.home.is_dir()):
         return "", Lengths(), 1.0
@@ -187,16 +195,7 @@ def outline_of(
     compiled: Compiled, workcell: Workcell, lengths: Lengths | None = None, pace: float = 1.0, lab: str = ""
 ) -> Outline:
     """A compiled workflow with its times, with the durations that a lab has learned."""
-    from labos.planning.certificate import find_order
     from labos.planning.certified import certify_all
-    from labos.planning.timetable import (
-        count_taken,
-        find_setups,
-        make_timetable,
-        sum_consumption,
-        with_learned,
-        with_setups,
-    )
     from labos.spec.choices import list_choices
 
     choices = list_choices(compiled.plans)
@@ -304,8 +303,6 @@ def _list_stations(compiled: Compiled, slots: tuple[Slot, ...], workcell: Workce
 
 def _show_outline(outline: Outline) -> None:
     from labos.planning.certified import describe_certificate
-    from labos.services.describe import shorten_value
-    from labos.services.times import show_span
     from labos.spec.choices import describe_choices
 
     rows = [
@@ -327,16 +324,13 @@ def _show_outline(outline: Outline) -> None:
         f"{show_span(outline.total_s)} alone on the bench; {len(outline.critical)} are critical (*)."
     )
     click.echo(_describe_origin(outline))
-    for line in describe_choices({step.key: step.choices for step in outline.steps if step.choices}):
-        click.echo(line)
+    show_lines(describe_choices({step.key: step.choices for step in outline.steps if step.choices}))
     for step in outline.steps:
         if step.late_s:
             click.echo(f"{step.key!r} starts {show_span(step.late_s)} later than its window allows.")
-    for line in describe_certificate(outline.certificate) if outline.certificate else ():
-        click.echo(line)
+    show_lines(describe_certificate(outline.certificate) if outline.certificate else ())
     for step in outline.steps:
-        for line in _list_terms(outline, step):
-            click.echo(line)
+        show_lines(_list_terms(outline, step))
     out = [step for step in outline.steps if step.on_cancel]
     if out:
         ways = [f"{s.key.removeprefix('on_cancel/')!r} ({_describe_place(s)})" for s in out]
@@ -360,8 +354,6 @@ def _show_outline(outline: Outline) -> None:
 
 def _describe_origin(outline: Outline) -> str:
     """The origin of the times."""
-    from labos.services.times import show_span
-
     shown = [step for step in outline.steps if not step.rescues and not step.on_cancel]
     learned = sum(step.learned for step in shown)
     if not outline.lab:
@@ -382,8 +374,6 @@ def _describe_place(step: OutlineStep) -> str:
 
 def _list_terms(outline: Outline, step: OutlineStep) -> Iterator[str]:
     """The terms of a step besides its times, in sentences."""
-    from labos.services.times import show_span
-
     if step.setup_s:
         yield f"{step.module} is set up for {step.key!r} first: {show_span(step.setup_s)} of its time."
     if step.when:

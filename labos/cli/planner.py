@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 import msgspec
 
-from labos.cli._options import find_user, user_option
+from labos.cli._lab import end_in_order, need_lab_of
+from labos.cli._options import user_option
 from labos.cli._orders import ask_order_setting
 from labos.cli._query import Where, log_options, now_ns, open_log
 from labos.errors import LabosError
@@ -68,14 +69,7 @@ LOST_PAUSE_S = 5.0
 @user_option
 @log_options
 def command(
-    where: Where,
-    seconds: float,
-    level: float,
-    end_weight: int,
-    pause_s: float,
-    cells: tuple[str, ...],
-    once: bool,
-    user: str | None,
+    where: Where, pause_s: float, cells: tuple[str, ...], once: bool, user: str, **search: Any
 ) -> None:
     """Search for a better order of the next steps and suggest it to a running lab, until Ctrl-C.
 
@@ -90,16 +84,14 @@ def command(
     labos planner
     labos planner --workcell rpl --seconds 10
     """
-    from labos.cli._lab import end_in_order, need_lab_of
     from labos.planner.planner import Planner
     from labos.planner.solve import expect_solver
     from labos.planner.watch import CellWatch
     from labos.runtime.follower import Follower
 
     expect_solver()
-    asker, watch = find_user(user), CellWatch()
-    searches = ask_order_setting(where)
-    planner = Planner(seconds=seconds, level=level, end_weight=end_weight, searches=searches)
+    watch = CellWatch()
+    planner = Planner(searches=ask_order_setting(where), **search)
     next_look: dict[str, float] = {}
     with end_in_order(), need_lab_of(where) as client, open_log(where, stored=True) as log:
         follower = Follower(cast("EventStore", log))  # it only reads
@@ -110,7 +102,7 @@ def command(
                     for cell in cells or sorted(follower.state.lab.workcells):
                         if time.monotonic() < next_look.get(cell, 0.0):
                             continue
-                        if _suggest(follower.state, cell, planner, watch, client, asker):
+                        if _suggest(follower.state, cell, planner, watch, client, user):
                             next_look[cell] = time.monotonic() + pause_s
                     if once:
                         return

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from labos.cli._options import Asker, asker_options
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli.approvals import policy_lines
 from labos.cli.shares import read_file
 
@@ -28,7 +28,7 @@ def command(file: str | None, asker: Asker) -> None:
         if file is not None:
             client.apply_policy(read_file(file), file, asker.user)
         answer = client.policy()
-    asker.end_with_json(answer)
+    end_with_json(answer)
     if not answer["applied"]:
         click.echo("No policy was set. These are the defaults.")
     show_table(("what", "says"), list(policy_lines(answer["policy"])))

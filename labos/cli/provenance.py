@@ -9,8 +9,8 @@ from labos.audit.formats import as_dot, as_prov
 from labos.audit.graph import Entity, Graph, ProvenancePart
 from labos.audit.provenance import MOST_LINKS, subject_of, trace
 from labos.cli._audit import open_log_and_views
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options
+from labos.cli._out import show_json, show_table, wants_json
+from labos.cli._query import Where, at_option, folder_options, json_option
 from labos.services.describe import shorten_value
 from labos.services.history import find_position_at
 from labos.services.times import Moment
@@ -34,14 +34,13 @@ from labos.services.times import Moment
 @click.option("--prov", "as_prov_json", is_flag=True, help="Print W3C PROV-JSON (extra `provenance`).")
 @click.option("--dot", "as_graphviz", is_flag=True, help="Print a graph for Graphviz.")
 @at_option
-@log_options
+@folder_options
 def command(
     where: Where,
     subject: str,
     direction: str,
     only: str | None,
     most: int,
-    as_json: bool,
     as_prov_json: bool,
     as_graphviz: bool,
     moment: Moment,
@@ -57,14 +56,14 @@ def command(
     labos provenance P7/B7 --at -1h              the content of a well an hour ago
     labos provenance lot:L42 --down --only result   which results depend on a lot
     """
-    if sum((as_json, as_prov_json, as_graphviz)) > 1:
+    if sum((wants_json(), as_prov_json, as_graphviz)) > 1:
         raise click.UsageError("Choose one of --json, --prov and --dot.")
     with open_log_and_views(where) as (store, asker):
         upto = find_position_at(store, moment)
         entity = subject_of(asker, subject, upto)
         graph = trace(asker, entity, upto, "down" if direction == "down" else "up", most)
         lab = store.head().lab
-    if as_json:
+    if wants_json():
         show_json(graph)
     elif as_prov_json:
         click.echo(as_prov(graph, lab))
@@ -84,10 +83,8 @@ def _show_graph(graph: Graph) -> None:
         if value != []:
             click.echo(f"  {name}: {value if isinstance(value, str) else shorten_value(value)}")
     if graph.contents:
-        click.echo()
         rows = [_list_part_cells(part) for part in graph.contents]
-        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents")
-    click.echo()
+        show_table(("origin", "liquid", "volume", "share", "certain"), rows, title="Contents", gap=True)
     rows = [
         (
             str(link.position),
@@ -97,7 +94,7 @@ def _show_graph(graph: Graph) -> None:
         )
         for link in graph.links
     ]
-    show_table(("event", "what", "", "of what"), rows, title="Links")
+    show_table(("event", "what", "", "of what"), rows, title="Links", gap=True)
 
 
 def _list(graph: Graph, kind: str, direction: str) -> None:

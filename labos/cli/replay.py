@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +12,21 @@ import click
 import msgspec
 
 from labos.cli._options import json_option_saying
-from labos.cli._out import show_json, show_line
+from labos.cli._out import show_json, show_line, wants_json
 from labos.cli._query import Where
 from labos.core.envelope import Record
 from labos.core.state import LabState, hash_state
 from labos.core.wells import sort_by_well
 from labos.core.words import Kept
 from labos.errors import BadInput
+from labos.ports import StoredWords
 from labos.services.catalogue import Catalogue
 from labos.services.describe import describe
 from labos.services.log import decode_event
 from labos.services.shown import WordsBeside, show_text
 from labos.services.steps import LogStep, StateChange, iterate_steps, make_plain_state
 from labos.services.times import iso_time, show_time
-from labos.store import StoredWords, open_store, read_backup, read_segment, read_words_copy, records_of
+from labos.store import open_store, read_backup, read_segment, read_words_copy, records_of
 
 WIDEST = 100
 HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: its parts with WORD; q: end"
@@ -38,9 +39,7 @@ HELP = "Enter: next event; a number: on to that position; s: the state; s WORD: 
 @click.option("--to", "last", type=click.IntRange(min=1), metavar="B", help="End at position B.")
 @click.option("--hash", "only_hash", is_flag=True, help="Print only the hash of the state at the end.")
 @json_option_saying("JSON: one line for each event, with its changes.")
-def command(
-    log: str, at: int | None, first: int | None, last: int | None, only_hash: bool, as_json: bool
-) -> None:
+def command(log: str, at: int | None, first: int | None, last: int | None, only_hash: bool) -> None:
     """Replay LOG, event by event, and show what each event changed. LOG is a lab's folder, its database (a
     file or a URL), a backup, or a file of records from labos log --json.
 
@@ -67,13 +66,15 @@ def command(
             for _ in iterate_steps(records, state, sys.maxsize, at if at is not None else last):
                 pass
             _expect(log, state, at)
-            _show_end(state, only_hash, as_json)
-        elif not as_json and first is None and last is None and sys.stdin.isatty() and sys.stdout.isatty():
+            _show_end(state, only_hash)
+        elif (
+            not wants_json() and first is None and last is None and sys.stdin.isatty() and sys.stdout.isatty()
+        ):
             _walk(iterate_steps(records, state, 1, None), state, beside)
         else:
             names = Catalogue()
             for step in iterate_steps(_learn_names(records, names), state, first or 1, last):
-                _show(step, names, beside, as_json)
+                _show(step, names, beside)
             _expect(log, state, first)
 
 
@@ -82,8 +83,8 @@ def _expect(log: str, state: LabState, position: int | None) -> None:
         raise BadInput(f"{log} ends at position {state.position}.", remedy="Name a position up to there.")
 
 
-def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
-    if only_hash and not as_json:
+def _show_end(state: LabState, only_hash: bool) -> None:
+    if only_hash and not wants_json():
         click.echo(f"{state.position} {hash_state(state)}")
     elif only_hash:
         show_json({"position": state.position, "state": hash_state(state)})
@@ -92,9 +93,9 @@ def _show_end(state: LabState, only_hash: bool, as_json: bool) -> None:
         click.echo(msgspec.json.format(msgspec.json.encode(make_plain_state(state)), indent=2))
 
 
-def _show(step: LogStep, names: Catalogue, beside: WordsBeside, as_json: bool) -> None:
+def _show(step: LogStep, names: Catalogue, beside: WordsBeside) -> None:
     head = step.record.head
-    if as_json:
+    if wants_json():
         show_line(
             {
                 "position": head.position,
@@ -133,7 +134,7 @@ def _walk(found: Iterator[LogStep], state: LabState, beside: WordsBeside) -> Non
         names.learn(step.event)
         if step.record.head.position < upto:
             continue
-        _show(step, names, beside, as_json=False)
+        _show(step, names, beside)
         while True:
             answer = click.prompt("", default="", show_default=False, prompt_suffix="> ").strip()
             if answer == "q":
@@ -201,11 +202,8 @@ def _open_records(log: str) -> Iterator[tuple[Iterator[Record], WordsBeside]]:
         raise BadInput(
             f"{log} does not exist.", remedy="Name a lab's folder, a database, a backup or a file."
         )
-    store = open_store(url, create=False, read_only=True)
-    try:
+    with closing(open_store(url, create=False, read_only=True)) as store:
         yield store.read(), store
-    finally:
-        store.close()
 
 
 def _find_database(home: Path) -> str:

@@ -3,32 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import click
 import msgspec
 
 from labos.cli._options import file_option
-from labos.cli._query import (
-    Where,
-    log_and_json,
-    now_ns,
-    open_database,
-    read_kernel_file,
-)
+from labos.cli._out import end_with_json
+from labos.cli._query import Where, folder_and_json, now_ns, open_database
 from labos.cli._rehearse import rehearse
 from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
 from labos.core.state import hash_state
 from labos.core.words import Kept
 from labos.errors import LogDamaged
+from labos.ports import StoredWords
 from labos.services.log import fold_to
-from labos.settings import KernelInfo, Settings, announce
+from labos.settings import KernelInfo, announce, last_kernel
 from labos.store import (
     ERASURES,
     Blobs,
     FolderBlobs,
-    StoredWords,
     find_first_damage,
     forget_end,
     key_of,
@@ -85,7 +81,7 @@ class Restored(msgspec.Struct, frozen=True):
 )
 @archive_option
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     folder: Path,
@@ -124,13 +120,11 @@ def command(
             own = FolderBlobs(place.home / "blobs")  # the folder where the lab stores its own
             return put_back(place, folder, key, own, known, archive)
 
-        rehearse(where, folder, try_it, scratch, as_json=where.as_json)
+        rehearse(where, folder, try_it, scratch)
         return
     # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
-    where.end_with_json(
-        {name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"}
-    )
+    end_with_json({name: getattr(done, name) for name in done.__struct_fields__ if name != "recorded_at"})
     click.echo(f"The lab {done.lab} is restored up to position {done.position}: chain, fold and state agree.")
     click.echo(f"Database {done.database}, {done.blobs} blobs, next epoch above {done.epoch}.")
     if done.users:
@@ -157,10 +151,7 @@ def put_back(
     refuse_to_overwrite(where.url)
     found, state = verify_backup(folder, key=key, archive=archive)
     people = read_accounts_copy(folder, found.lab, key)
-    target, source = (
-        blobs or open_blobs(Settings.make(where.home, where.url).blobs),
-        FolderBlobs(folder / "blobs"),
-    )
+    target, source = blobs or open_blobs(where.settings.blobs), FolderBlobs(folder / "blobs")
     for name in found.blobs:
         target.put(source.get(name))
     epoch = leap_epoch(found.epoch, now_ns())
@@ -186,13 +177,10 @@ def put_back(
             remedy="Check the disk, then restore into another database.",
         )
     if people is not None:
-        accounts = open_accounts(where.url)
-        try:
+        with closing(open_accounts(where.url)) as accounts:
             put_accounts_back(accounts, people)
-        finally:
-            accounts.close()
-    if not read_kernel_file(where.home):
-        place = str(Settings.make(where.home, where.url).blobs)
+    if last_kernel(where.home) is None:
+        place = str(where.settings.blobs)
         info = KernelInfo(0, "", "", found.lab, where.url, found.simulated, state.lab.pace, place)
         announce(where.home, info)
     return Restored(

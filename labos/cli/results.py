@@ -8,9 +8,9 @@ from typing import TextIO
 import click
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
+from labos.cli._query import Where, log_at_and_json, open_contents
 from labos.services.history import find_position_at
 from labos.services.results import COLUMNS, read_readings
 from labos.services.times import Moment, show_time
@@ -27,10 +27,8 @@ from labos.services.times import Moment, show_time
     metavar="FILE",
     help="Write the CSV to this file.",
 )
-@json_option
-@at_option
-@log_options
-def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: bool, moment: Moment) -> None:
+@log_at_and_json
+def command(where: Where, run: str, as_csv: bool, file: TextIO | None, moment: Moment) -> None:
     """Show the results of RUN that have a value for each well, with the sample in the well.
 
     \b
@@ -38,11 +36,9 @@ def command(where: Where, run: str, as_csv: bool, file: TextIO | None, as_json: 
     labos results R3 --csv
     labos results R3 -o r3.csv
     """
-    with open_log(where) as store, open_contents(where) as blobs:
-        if moment == Moment():
-            say_if_dead(where.url, store.head(), last_known=False)
+    with open_current_log(where, moment, last_known=False) as store, open_contents(where) as blobs:
         found = read_readings(store, blobs, run, find_position_at(store, moment))
-    end_with_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()], as_json)
+    end_with_json([dict(zip(COLUMNS, row, strict=True)) for row in found.rows()])
     if as_csv or file is not None:
         found.to_csv(file or sys.stdout)
     elif found:

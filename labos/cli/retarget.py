@@ -9,7 +9,7 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option, json_option
-from labos.cli._out import end_with_json, show_table
+from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._specs import find_spec_path
 from labos.cli.validate import examine
@@ -41,7 +41,6 @@ def command(
     output: Path | None,
     force: bool,
     payloads: tuple[str, ...],
-    as_json: bool,
 ) -> None:
     """Rewrite WORKFLOW for another workcell. For each module, the command proposes a module of the other
     workcell with the same actions and stations, and reports what does not fit. It writes a file with the new
@@ -78,12 +77,10 @@ def command(
     fits = verdict.sound and not proposal.misfits
     difference = list(compare_lines(text, renamed))
     facts = {"fits": fits, "file": str(target), "difference": difference, "findings": verdict.findings}
-    end_with_json({**facts, **msgspec.to_builtins(proposal)}, as_json, int(not fits))
+    end_with_json({**facts, **msgspec.to_builtins(proposal)}, int(not fits))
     show_table(("module", "becomes", "why"), [(m.module, m.becomes or "-", m.why) for m in proposal.matches])
-    for misfit in proposal.misfits:
-        click.echo(f"does not fit: {misfit}")
-    for line in difference:
-        click.echo(line)
+    show_lines(proposal.misfits, "does not fit: ")
+    show_lines(difference)
     for finding in verdict.findings:
         click.echo(f"{finding.severity}: {finding.as_error()}")
     click.echo(f"{target}: written, " + ("no errors." if fits else "it cannot be used as it is."))

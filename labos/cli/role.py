@@ -6,7 +6,7 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
-from labos.cli._out import show_table
+from labos.cli._out import end_with_json, show_table
 from labos.cli._people import role_choice, scope_of, subject_of, workcell_option
 from labos.core.lab import WHOLE_LAB
 from labos.core.users import group_subject, user_subject
@@ -41,7 +41,7 @@ def grant(subject: str, role: str, workcell: str | None, asker: Asker) -> None:
     """Grant a role to a user or a group. It replaces their present role there."""
     with asker.lab() as client:
         client.grant_role(subject_of(subject), role, asker.user, scope=scope_of(workcell))
-    asker.end_with_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
+    end_with_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": role})
 
 
 @command.command("revoke")
@@ -52,7 +52,7 @@ def revoke(subject: str, workcell: str | None, asker: Asker) -> None:
     """Revoke a granted role, in a workcell or in the whole lab."""
     with asker.lab() as client:
         client.revoke_role(subject_of(subject), asker.user, scope=scope_of(workcell))
-    asker.end_with_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
+    end_with_json({"subject": subject_of(subject), "scope": scope_of(workcell), "role": ""})
 
 
 @command.command("list")
@@ -64,9 +64,7 @@ def list_roles(asker: Asker) -> None:
     held = [(user_subject(user["id"]), user["roles"]) for user in users]
     held += [(group_subject(group["name"]), group["roles"]) for group in groups]
     grants = [(subject, scope, role) for subject, roles in held for scope, role in roles.items()]
-    asker.end_with_json(
-        [{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants]
-    )
+    end_with_json([{"subject": subject, "scope": scope, "role": role} for subject, scope, role in grants])
     rows = [
         (role, subject.removeprefix(user_subject("")), "the whole lab" if scope == WHOLE_LAB else scope)
         for subject, scope, role in grants

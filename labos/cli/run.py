@@ -10,14 +10,25 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._options import find_user, json_option, lab_options, user_option
-from labos.cli._payload import payload_option
+from labos.cli._forecast import show_change, show_ways
+from labos.cli._options import (
+    json_option,
+    lab_options,
+    priority_option,
+    quiet_option,
+    simulate_option,
+    user_option,
+)
+from labos.cli._out import show_json, show_line, wants_json
+from labos.cli._payload import payload_option, read_payload
+from labos.cli._remote import lab_of
 from labos.core.ids import local
+from labos.errors import BadInput
+from labos.settings import Settings, find_kernel, was_simulated
 
 if TYPE_CHECKING:
     from labos.client import LabClient, RunResult
     from labos.core.model import Workcell
-    from labos.settings import Settings
     from labos.spec import Compiled
 
 
@@ -29,7 +40,7 @@ if TYPE_CHECKING:
     metavar="NAME|FILE",
     help="The workcell (the lab's own; in a new lab the one beside the workflow's file, else rpl).",
 )
-@click.option("--simulate", is_flag=True, help="Use simulated instruments. A running lab must be simulated.")
+@simulate_option
 @click.option(
     "--place",
     "placed",
@@ -39,12 +50,10 @@ if TYPE_CHECKING:
     "`peeler.default=plate96,sealed` if it is sealed.",
 )
 @user_option
-@click.option(
-    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
-)
+@priority_option
 @lab_options
 @json_option
-@click.option("--quiet", is_flag=True, help="Print only the end.")
+@quiet_option
 @click.option("--dry-run", is_flag=True, help="Show when it would start and end; submit nothing.")
 def command(
     workflow: str,
@@ -52,13 +61,12 @@ def command(
     workcell: str | None,
     simulate: bool,
     placed: tuple[str, ...],
-    user: str | None,
+    user: str,
     priority: int,
     home: str | None,
     database: str | None,
     speed: float | None,
     seed: int,
-    as_json: bool,
     quiet: bool,
     dry_run: bool,
 ) -> None:
@@ -76,27 +84,22 @@ def command(
     With --dry-run nothing is submitted. The running lab forecasts when the run would start and end, which
     runs it would delay, and when a person would be needed.
     """
-    from labos.cli._payload import read_payload
-    from labos.cli._remote import lab_of
     from labos.client import workflow_text
-    from labos.settings import Settings
 
     values = read_payload(payloads)
     settings = Settings.make(home, database, speed=speed, simulate=True if simulate else None, seed=seed)
     text = workflow_text(workflow, values)
-    job = RunRequest(text, values, find_user(user), workcell or "", placed, priority, simulate, workflow)
+    job = RunRequest(text, values, user, workcell or "", placed, priority, simulate, workflow)
     url = "" if database else lab_of(home)
     if dry_run:
-        forecast(job, home, as_json=as_json)
+        forecast(job, home)
         return
-    show_result(carry_out(job, settings, url=url, quiet=quiet or as_json), as_json=as_json)
+    show_result(carry_out(job, settings, url=url, quiet=quiet or wants_json()))
 
 
-def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
+def forecast(job: RunRequest, home: str | None) -> None:
     """Show the forecast for a job in the running lab. Raises Exit(1) if it would be refused."""
-    from labos.cli._forecast import show_change, show_ways
     from labos.cli._lab import need_lab
-    from labos.cli._out import show_json
 
     with need_lab(home) as client:
         answer = client.forecast_run(
@@ -108,7 +111,7 @@ def forecast(job: RunRequest, home: str | None, *, as_json: bool) -> None:
             place=parse_places(job.placed),
         )
     found = answer["forecast"]
-    if as_json:
+    if wants_json():
         show_json(answer)
     elif found["refusal"]:
         click.echo(f"It would be refused: {found['refusal']}")
@@ -143,8 +146,6 @@ def carry_out(
     own."""
     from labos.cli._lab import check_first, end_in_order, read_workcell, some_lab
     from labos.cli._narrate import Narrator
-    from labos.errors import BadInput
-    from labos.settings import was_simulated
     from labos.spec import parse_workflow
 
     # Errors of the file itself are reported before a lab is started for it.
@@ -184,7 +185,6 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
     """Whether the lab at ``url``, or in the home folder, has a simulated bench; None if no lab runs. Raises
     LabUnreachable."""
     from labos.client import LabClient
-    from labos.settings import find_kernel
 
     if url:
         with LabClient(url) as client:
@@ -196,7 +196,6 @@ def _is_simulated(settings: Settings, url: str) -> bool | None:
 def _find_workcell_beside(workflow: str) -> str:
     """The workcell file in the folder of a workflow's file, or in a parent folder; empty if there is none.
     Raises BadInput if there are several."""
-    from labos.errors import BadInput
     from labos.spec.files import find_workcells
 
     path = Path(workflow)
@@ -273,11 +272,10 @@ def show_warnings(client: LabClient) -> None:
         click.echo(f"labos: {warning} (warning)", err=True)
 
 
-def show_result(result: RunResult, *, as_json: bool) -> None:
+def show_result(result: RunResult) -> None:
     """Show how a run ended. Raises Exit(1) if it did not complete."""
-    from labos.cli._out import show_line
 
-    if as_json:
+    if wants_json():
         show_line(result)
     else:
         done = sum(step.state == "done" for step in result.steps)

@@ -8,11 +8,11 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import find_lab_now, has_kernel, say_if_dead
+from labos.cli._liveness import find_lab_now, has_kernel, open_current_log
 from labos.cli._options import ENDED_SHOWN, all_option
 from labos.cli._orders import KernelWaits, ask_order_setting
-from labos.cli._out import show_parts, show_table
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._out import end_with_json, show_parts, show_table
+from labos.cli._query import Where, log_and_json
 from labos.core.ids import local
 from labos.core.model import find_served_step
 from labos.planning.scheduler import Scheduler
@@ -46,8 +46,7 @@ def command(where: Where, run: str | None, everything: bool) -> None:
     labos runs E1         the runs of an experiment
     labos explain R3      why the run waits
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head())
+    with open_current_log(where) as store:
         inside = list_experiment_histories(store).get(run) if run and run.startswith("E") else None
         if inside is not None:
             stories = {name: run_history(store, name) for name in inside.runs}
@@ -58,17 +57,15 @@ def command(where: Where, run: str | None, everything: bool) -> None:
         waits = _find_waits(store, stories, now, KernelWaits(where) if lives else None)
         due = _find_due(store, stories, now, where)
     if run and inside is None:
-        where.end_with_json(_make_plain(stories[run], waits, due))
+        end_with_json(_make_plain(stories[run], waits, due))
         _show_one(stories[run], waits, due)
         return
     ended = [story for story in stories.values() if story.over]
     hidden = {story.id for story in ended[:-ENDED_SHOWN]} if not everything and inside is None else set()
     shown = [story for story in stories.values() if story.id not in hidden]
-    where.end_with_json([_make_plain(story, waits, due) for story in shown])
-    dated = any(story.due_at for story in shown)
-    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took")
-    rows = [_row(story, now, waits, due, dated=dated) for story in shown]
-    show_table((*columns, *(["due"] if dated else []), "why"), rows)
+    end_with_json([_make_plain(story, waits, due) for story in shown])
+    columns = ("run", "workflow", "user", "experiment", "status", "steps", "submitted", "took", "due", "why")
+    show_table(columns, [_row(story, now, waits, due) for story in shown], optional="due")
     if hidden:
         click.echo(f"{len(hidden)} more runs have ended: labos runs --all")
 
@@ -107,16 +104,14 @@ def _make_plain(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str
     return {**msgspec.to_builtins(run), "waits": waits.get(run.id, []), "due": due.get(run.id, "")}
 
 
-def _row(
-    run: RunHistory, now: int, waits: dict[str, list[str]], due: dict[str, str], *, dated: bool
-) -> tuple[str, ...]:
+def _row(run: RunHistory, now: int, waits: dict[str, list[str]], due: dict[str, str]) -> tuple[str, ...]:
     steps = f"{run.done}/{run.in_play}"
     name = f"{run.workflow} (closing)" if run.closing else run.workflow
     submitted = show_time(run.submitted_at)
     why = run.why or "; ".join(f"waits: {reason}" for reason in waits.get(run.id, []))
     span = show_duration(run, now)
     known = run.id, name, run.user, run.experiment, run.status, steps, submitted, span
-    return *known, *([due.get(run.id, "")] if dated else []), why
+    return *known, due.get(run.id, ""), why
 
 
 def show_duration(run: RunHistory, now: int) -> str:
@@ -139,7 +134,6 @@ def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str])
         click.echo(f"Due: {due[run.id]}")
     times = (("submitted", run.submitted_at), ("started", run.started_at), ("ended", run.ended_at))
     show_parts([f"{what} {show_time(at)}" for what, at in times if at])
-    click.echo()
     columns = ("#", "step", "action", "state", "requested", "took", "tries", "result or error")
     show_table(
         columns,
@@ -148,6 +142,7 @@ def _show_one(run: RunHistory, waits: dict[str, list[str]], due: dict[str, str])
             for step in run.steps
             if step.state != "asleep" or find_served_step(step.part) is not None
         ],
+        gap=True,
     )
 
 

@@ -10,10 +10,10 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._options import Asker, asker_options
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_contents, open_log
+from labos.cli._query import Where, log_at_and_json, open_contents
 from labos.core.wells import parse_well
 from labos.errors import NotFound
 from labos.services.history import find_position_at
@@ -61,7 +61,7 @@ def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> 
     """
     with asker.lab() as client:
         found = client.load_samples(sheet, asker.user, labware=plate, station=station, replace=replace)
-    asker.end_with_json(found)
+    end_with_json(found)
     for name, count in found.items():
         click.echo(f"{name} holds {count} samples.")
 
@@ -69,19 +69,15 @@ def load(sheet: Path, plate: str, station: str, replace: bool, asker: Asker) -> 
 @command.command("show")
 @click.argument("plate", shell_complete=make_completer("labware"))
 @click.option("--csv", "as_csv", is_flag=True, help="Print a sheet that can be loaded again.")
-@json_option
-@at_option
-@log_options
-def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) -> None:
+@log_at_and_json
+def show(where: Where, plate: str, as_csv: bool, moment: Moment) -> None:
     """Show the samples of PLATE from its last sheet. The plate may have left the bench.
 
     \b
     labos samples show P7
     labos samples show P7 --csv > sheet.csv
     """
-    with open_log(where) as store, open_contents(where) as blobs:
-        if moment == Moment():
-            say_if_dead(where.url, store.head())
+    with open_current_log(where, moment) as store, open_contents(where) as blobs:
         found = list_registrations(store, blobs, plate, find_position_at(store, moment))
     if not found:
         raise NotFound(
@@ -90,7 +86,7 @@ def show(where: Where, plate: str, as_csv: bool, as_json: bool, moment: Moment) 
         )
     last = found[-1]
     in_order = sorted(last.samples, key=lambda item: parse_well(item.well))
-    end_with_json(_list_facts(last, len(found)), as_json)
+    end_with_json(_list_facts(last, len(found)))
     if as_csv:
         out = csv.writer(sys.stdout, lineterminator="\n")
         out.writerow(("plate", "well", "sample", "volume", "unit"))

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import click
 
-from labos.cli._options import find_user, user_option
-from labos.cli._out import show_table
+from labos.cli._lab import need_lab_of
+from labos.cli._options import user_option
+from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, log_and_json, now_ns, open_log
 from labos.core.shares import Quota
 from labos.errors import BadInput
@@ -19,7 +20,7 @@ from labos.services.shares import ShareAccount, make_ledger
 @click.option("--apply", "file", metavar="FILE", help="Set weights and quotas from this file.")
 @user_option
 @log_and_json
-def command(where: Where, file: str | None, user: str | None) -> None:
+def command(where: Where, file: str | None, user: str) -> None:
     """Show the ledger of lab time: each user's share by weight, and the used share.
 
     Used time has a half-life of one day: after a day it counts half. Hours are those of the last seven
@@ -30,13 +31,11 @@ def command(where: Where, file: str | None, user: str | None) -> None:
     labos shares --apply shares.yaml    set weights and quotas
     """
     if file is not None:
-        from labos.cli._lab import need_lab_of
-
         with need_lab_of(where) as client:
-            client.apply_shares(read_file(file), file, find_user(user))
+            client.apply_shares(read_file(file), file, user)
     with open_log(where) as store:
         accounts = make_ledger(fold_to(store, store.head().position), now_ns())
-    where.end_with_json(accounts)
+    end_with_json(accounts)
     titles = ("user", "group", "weight", "share", "has had", "hours", "running", "waiting", "quota")
     show_table(titles, [_row(account) for account in accounts])
 

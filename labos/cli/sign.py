@@ -8,9 +8,11 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._lab import need_lab_of
 from labos.cli._options import why_option
-from labos.cli._out import end_with_json
+from labos.cli._out import end_with_json, report_done
 from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._secret import ask_password
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
 from labos.services.signatures import Signature, find_kind, list_signatures_under
@@ -35,14 +37,11 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
     labos sign C5 --meaning approved      a campaign with all its runs
     labos sign R7
     """
-    from labos.cli._lab import need_lab_of
-    from labos.cli._secret import ask_password
-
     with open_log(where) as log:
         if meaning is None:
             if why:
                 raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-            _show(subject, list_signatures_under(log, subject), as_json=where.as_json)
+            _show(subject, list_signatures_under(log, subject))
             return
         kind = find_kind(log, subject)
     with need_lab_of(where) as client:
@@ -53,11 +52,11 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
             "campaign": client.sign_campaign,
         }[kind]
         signature = sign(subject, meaning, ask_password(f"Password of {user}"), why=why)
-    where.report(_line(signature), signature)
+    report_done(_line(signature), signature)
 
 
-def _show(subject: str, found: Sequence[Signature], *, as_json: bool) -> None:
-    end_with_json(found, as_json)
+def _show(subject: str, found: Sequence[Signature]) -> None:
+    end_with_json(found)
     lines = [_line(msgspec.structs.asdict(each)) for each in found]
     click.echo("\n".join(lines) or f"{subject} has no signatures.")
 

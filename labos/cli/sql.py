@@ -18,7 +18,7 @@ from labos.audit.tables import VIEWS, list_view_columns
 from labos.cli._audit import open_views
 from labos.cli._options import file_option
 from labos.cli._out import show_table
-from labos.cli._query import Where, log_options
+from labos.cli._query import Where, folder_options
 from labos.errors import BadInput, LabosError
 
 MOST_SHOWN = 1000
@@ -47,7 +47,7 @@ PROMPT, GOES_ON = "labos> ", "   ... "
     metavar="SECONDS",
     help="How long a query may take.",
 )
-@log_options
+@folder_options
 def command(
     where: Where,
     query: str | None,

@@ -8,13 +8,13 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._liveness import say_if_dead
+from labos.cli._liveness import open_current_log
 from labos.cli._out import end_with_json, show_table
-from labos.cli._query import Where, at_option, json_option, log_options, open_log
+from labos.cli._query import Where, log_at_and_json
 from labos.core.bench import StationState
 from labos.core.ids import StationName, local, workcell_of
 from labos.core.state import LabState
-from labos.services.describe import owner_name
+from labos.services.describe import describe_counts, owner_name
 from labos.services.history import find_position_at, list_possibly_at, list_stations
 from labos.services.labware import LabwareHistory, list_labware_histories
 from labos.services.log import Log, fold_to
@@ -44,10 +44,8 @@ class StationPlace(msgspec.Struct, frozen=True):
     "names", shell_complete=make_completer("module", "station"), nargs=-1, metavar="[MODULE|STATION]..."
 )
 @click.option("--occupied", is_flag=True, help="Leave out empty stations.")
-@json_option
-@at_option
-@log_options
-def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool, moment: Moment) -> None:
+@log_at_and_json
+def command(where: Where, names: tuple[str, ...], occupied: bool, moment: Moment) -> None:
     """Show the labware at each station, its owner, and since when it stands there.
 
     \b
@@ -59,16 +57,14 @@ def command(where: Where, names: tuple[str, ...], occupied: bool, as_json: bool,
     `unknown` is not `empty`: the station was never declared. Empty shelves of a hotel are shown only if you
     name the hotel or the shelf, such as wc.output.3.
     """
-    with open_log(where) as store:
+    with open_current_log(where, moment) as store:
         position = find_position_at(store, moment)
-        if moment == Moment():
-            say_if_dead(where.url, store.head())
         state = fold_to(store, position)
         shown = list_places(store, state, names)
     if occupied:
         shown = [place for place in shown if place.state != "empty" or place.maybe or place.expected]
     at = iso_time(state.recorded_at)
-    end_with_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown}, as_json)
+    end_with_json({"position": position, "time": at, "lab": state.lab.name, "stations": shown})
     title = f"After event {position}, {show_time(state.recorded_at)}"
     rows = [row for place in shown if not _is_bare(place, names) for row in _rows(place)]
     show_table(("station", "kind", "holds", "of", "since"), rows, title=title)
@@ -135,8 +131,7 @@ def _rows(place: StationPlace) -> list[tuple[str, ...]]:
         return [(local(StationName(place.station)), place.kind, text, "", "")]
     lines: list[tuple[str, str, str]] = []
     if place.stock:
-        counts = {kind: place.stock.count(kind) for kind in place.stock}
-        lines.append((", ".join(f"{count} × {kind}" for kind, count in counts.items()), "", ""))
+        lines.append((describe_counts(place.stock), "", ""))
     for item in place.labware:
         lines.append((_describe_labware(item), owner_name(item["owner"]), show_time(item["since"])))
     if place.maybe:

@@ -7,6 +7,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options
+from labos.cli._out import end_with_json
 
 
 @click.command("load")
@@ -31,7 +32,7 @@ def load(station: str, labware: str, count: int, lot: str, asker: Asker) -> None
     with asker.lab() as client:
         names = client.load(station, labware, asker.user, count=count, lot=lot)
         where = find_stations(client, names)
-    asker.end_with_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
+    end_with_json({"station": station, "type": labware, "count": count, "lot": lot, "labware": names})
     of_lot = f" of lot {lot}" if lot else ""
     pieces = [name if where.get(name, station) == station else f"{name} at {where[name]}" for name in names]
     called = f": {', '.join(pieces)}" if pieces else ""
@@ -59,7 +60,7 @@ def unload(station: str, labware: str | None, count: int | None, everything: boo
         raise click.UsageError("Name one piece of labware, or --count N, or --all.")
     with asker.lab() as client:
         gone = client.unload(station, asker.user, labware=labware or "", count=count)
-    asker.end_with_json({"station": station, **gone})
+    end_with_json({"station": station, **gone})
     parts = [", ".join(gone["labware"])] if gone["labware"] else []
     parts += [f"{gone['nameless']} without an id"] if gone["nameless"] else []
     click.echo(f"Taken away from {station}: {' and '.join(parts)}.")
@@ -91,9 +92,7 @@ def replenish(
         number, unit = _parse_amount(amount)
         pack = {"amount": number, "unit": unit, "lot": lot, "expires": expires, "instead": instead}
         added = client.replenish(module, resource, asker.user, **pack)  # type: ignore[arg-type]
-    asker.end_with_json(
-        {"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires}
-    )
+    end_with_json({"module": module, "resource": resource, "amount": added, "lot": lot, "expires": expires})
     click.echo(f"{added:g} of {resource} put into {module} (lot {lot}).")
 
 

@@ -7,17 +7,17 @@ from typing import Any
 import click
 
 from labos.cli._complete import make_completer, name_option
-from labos.cli._options import Asker, asker_options, propose_option, wait_option
-from labos.cli._payload import payload_option
+from labos.cli._options import Asker, asker_options, priority_option, propose_option, wait_option
+from labos.cli._out import wants_json
+from labos.cli._payload import payload_option, read_payload
+from labos.cli.run import show_result, show_warnings
 
 
 @click.command("submit")
 @click.argument("workflow", shell_complete=make_completer("workflow"))
 @payload_option
 @click.option("--workcell", default="", metavar="NAME", help="The workcell, if the lab has several.")
-@click.option(
-    "--priority", type=int, default=0, show_default=True, help="Runs with a higher priority go first."
-)
+@priority_option
 @name_option("experiment", "ID", "The experiment to which the run belongs.")
 @click.option(
     "--request",
@@ -44,16 +44,11 @@ def command(workflow: str, payloads: tuple[str, ...], asker: Asker, wait: bool, 
     labos submit my_workflow.yaml --payload values.yaml --payload seal.time=4 --wait
     labos submit pcr --due 12h
     """
-    from labos.cli._payload import read_payload
-    from labos.cli.run import show_warnings
-
     values = read_payload(payloads)
     with asker.lab() as client:
         run = client.submit(workflow, values, user=asker.user, **asked)
         show_warnings(client)
         if not wait:
-            click.echo(f'{{"run": "{run}"}}' if asker.as_json else run)
+            click.echo(f'{{"run": "{run}"}}' if wants_json() else run)
             return
-        from labos.cli.run import show_result
-
-        show_result(client.wait(run), as_json=asker.as_json)
+        show_result(client.wait(run))

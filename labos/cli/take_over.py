@@ -6,14 +6,16 @@ import os
 import signal
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from labos.cli._options import home_option, json_option
-from labos.cli._out import report
+from labos.cli._options import folder_home_option, json_option
+from labos.cli._out import report_done
 from labos.errors import NotFound, Refused, SystemFailed
+from labos.settings import Settings, find_kernel
 
 if TYPE_CHECKING:
     from labos.store import SqlEventStore
@@ -31,9 +33,9 @@ POLL_S = 0.02
     metavar="SECONDS",
     help="How long to wait until the standby has taken over.",
 )
-@home_option
+@folder_home_option
 @json_option
-def command(home: str | None, wait_s: float, as_json: bool) -> None:
+def command(home: str | None, wait_s: float) -> None:
     """Stop the kernel on this computer, and let its standby take over the lab at once. Runs continue and
     instruments are not disturbed. No action is started for one or two seconds. Run this command on the
     kernel's computer, as the user that runs the kernel.
@@ -46,7 +48,6 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
     \b
     labos take-over
     """
-    from labos.settings import Settings, find_kernel
     from labos.store import open_store
 
     settings = Settings.make(home)
@@ -63,8 +64,7 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
             remedy="Stop it, and start `labos up` on the other computer.",
         )
     expect_to_listen(running.pid, number)
-    store = open_store(running.database, create=False, read_only=True, home=settings.home)
-    try:
+    with closing(open_store(running.database, create=False, read_only=True, home=settings.home)) as store:
         standing_by = store.standbys()
         if not standing_by:
             raise Refused(
@@ -81,11 +81,9 @@ def command(home: str | None, wait_s: float, as_json: bool) -> None:
             ) from None
         pause_s = _wait(store, epoch, wait_s)
         owner, epoch = store.find_holder().owner, store.head().epoch
-    finally:
-        store.close()
     facts = {"kernel": owner, "epoch": epoch, "without_kernel_s": round(pause_s, 3), "stood_by": standing_by}
     message = f"The kernel {owner} has taken over (epoch {epoch}). There was none for {pause_s:.1f} s."
-    report(message, facts, as_json=as_json)
+    report_done(message, facts)
 
 
 def expect_to_listen(pid: int, number: int) -> None:

@@ -9,6 +9,8 @@ import msgspec
 
 from labos.cli._complete import make_completer
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
+from labos.cli._out import end_with_json, report_done, show_table
+from labos.settings import Settings
 
 
 @click.command("teach")
@@ -44,7 +46,7 @@ def teach(module: str, station: str, pose: str, why: str, kind: str, asker: Aske
         version = client.teach(module, station, numbers, asker.user, why, labware_type=kind)
     what = f"{station} with a {kind}" if kind else station
     facts = {"module": module, "station": station, "type": kind, "version": version}
-    asker.report(f"{module} now reaches {what} with version {version} of the pose.", facts)
+    report_done(f"{module} now reaches {what} with version {version} of the pose.", facts)
 
 
 @click.command("locations")
@@ -57,10 +59,9 @@ def locations(module: str, asker: Asker) -> None:
     \b
     labos locations pf400
     """
-    from labos.cli._out import show_table
 
     found = _find_locations(module, asker.home)
-    asker.end_with_json(found)
+    end_with_json(found)
     rows = [
         (name, kind, at)
         for name, own in found.items()
@@ -77,15 +78,12 @@ def locations(module: str, asker: Asker) -> None:
 
 def _find_locations(module: str, home: str | None) -> dict[str, dict[str, Any]]:
     """From the running lab, else from its log. Raises NotFound."""
-    from labos.cli._lab import need_lab
-    from labos.cli._remote import lab_of
-    from labos.settings import Settings, find_kernel
+    from labos.cli._lab import find_lab
 
-    settings = Settings.make(home)
-    if lab_of(home) or find_kernel(settings.home) is not None:
-        with need_lab(home) as client:
+    if (lab := find_lab(home)) is not None:
+        with lab as client:
             return client.locations(module)
     from labos.cli._liveness import module_of, read_last_state
     from labos.http.teaching import make_locations as poses_of
 
-    return dict(msgspec.to_builtins(poses_of(module_of(read_last_state(settings), module))))
+    return dict(msgspec.to_builtins(poses_of(module_of(read_last_state(Settings.make(home)), module))))

@@ -6,6 +6,8 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, lab_and_json
+from labos.cli._out import end_with_json, report_done, show_table
+from labos.services.times import iso_time
 
 
 @click.group("token", cls=Suggesting)
@@ -49,11 +51,9 @@ def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None
     labos token create prometheus --scope viewer --days 366
     labos token create agent --for planner
     """
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         made = client.make_token(label, scope=scope, days=days, user=user)
-    asker.end_with_json(made)
+    end_with_json(made)
     token = made["token"]
     until = iso_time(token["expires_at"])[:16]
     click.echo(
@@ -69,12 +69,9 @@ def create(label: str, scope: str, days: float, user: str, asker: Asker) -> None
 @lab_and_json
 def list_(user: str, asker: Asker) -> None:
     """List your tokens, and when each was last used (to the minute)."""
-    from labos.cli._out import show_table
-    from labos.services.times import iso_time
-
     with asker.lab() as client:
         tokens = client.tokens(user)
-    asker.end_with_json(tokens)
+    end_with_json(tokens)
 
     def when(time: int) -> str:
         return iso_time(time)[:16] if time else ""
@@ -98,4 +95,4 @@ def revoke(token: str, asker: Asker) -> None:
     """Revoke a token. ID is the one that `labos token list` shows. The token is invalid from now on."""
     with asker.lab() as client:
         client.revoke_token(token)
-    asker.report(f"The token {token} is revoked.", {"token": token, "revoked": True})
+    report_done(f"The token {token} is revoked.", {"token": token, "revoked": True})

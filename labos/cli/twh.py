@@ -5,9 +5,9 @@ from __future__ import annotations
 import click
 
 from labos.cli._complete import name_option
-from labos.cli._liveness import find_lab_now, say_if_dead
-from labos.cli._out import show_json, show_table
-from labos.cli._query import Where, log_and_json, open_log
+from labos.cli._liveness import find_lab_now, open_current_log
+from labos.cli._out import show_json, show_table, wants_json
+from labos.cli._query import Where, log_and_json
 from labos.cli._why import make_plain_twh, show_why, why_as_json
 from labos.errors import NotFound
 from labos.services.losses import sum_losses
@@ -37,15 +37,14 @@ def command(where: Where, run: str, experiment: str, workcell: str, losses: bool
     A person's answer, or access to the workcell, ends the current interval.
     docs/time-without-human-intervention.md has the exact definition.
     """
-    with open_log(where) as store:
-        say_if_dead(where.url, store.head(), last_known=False)
+    with open_current_log(where, last_known=False) as store:
         now = find_lab_now(where.url, store.head())
         found = sum_losses(store.read(), now) if losses else None
         report = found.twh if found is not None else measure(store.read(), now)
     shown = choose_scopes(report, run, experiment, workcell)
     if found is not None:
-        (why_as_json if where.as_json else show_why)(found, shown)
-    elif where.as_json:
+        (why_as_json if wants_json() else show_why)(found, shown)
+    elif wants_json():
         show_json({"pace": report.pace, "scopes": [make_plain_twh(twh) for twh in shown]})
     else:
         _show(report, shown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,16 +13,18 @@ from labos.cli._complete import make_completer
 from labos.cli._options import (
     address_option,
     database_option,
+    folder_home_option,
     folder_option,
-    home_option,
     pki_option,
     speed_option,
     web_options,
 )
+from labos.errors import LabosError
+from labos.settings import Settings, keep_private, was_simulated
+from labos.telemetry.logs import configure_logs
 
 if TYPE_CHECKING:
     from labos.bootstrap import LabThread
-    from labos.settings import Settings
 
 
 NO_USERS = (
@@ -40,7 +43,7 @@ NO_USERS = (
     help="Use a simulated bench or the real one. Required for a new lab; an existing lab keeps its setting.",
 )
 @speed_option
-@home_option
+@folder_home_option
 @database_option
 @click.option("--http-port", type=int, help="The port of the HTTP interface (a free port if not given).")
 @click.option(
@@ -172,8 +175,6 @@ def command(
     """
     from labos.bootstrap import LabThread
     from labos.cli._lab import end_in_order, read_workcell
-    from labos.settings import Settings, keep_private, was_simulated
-    from labos.telemetry.logs import configure_logs
 
     configure_logs("warning")
     keep_private()
@@ -238,11 +239,8 @@ def _has_other_kernel(settings: Settings) -> bool:
         raise click.UsageError("--or-standby needs a lab on PostgreSQL (docs/standby.md).")
     if read_database_status(settings.database).state == "empty":
         return False
-    store = open_store(settings.database, create=False, read_only=True)
-    try:
+    with closing(open_store(settings.database, create=False, read_only=True)) as store:
         return store.find_holder().living
-    finally:
-        store.close()
 
 
 def _check_standby(settings: Settings, workcells: tuple[str, ...], no_nodes: bool) -> None:
@@ -289,7 +287,6 @@ def _listen_for_take_over(lab: LabThread) -> None:
 def _narrate(lab: LabThread) -> None:
     from labos.cli._narrate import Narrator
     from labos.client import LabClient
-    from labos.errors import LabosError
 
     try:
         with LabClient(home=lab.settings.home, patience_s=10.0) as client:

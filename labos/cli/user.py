@@ -8,8 +8,9 @@ import click
 
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
-from labos.cli._out import show_json, show_table
+from labos.cli._out import end_with_json, report_done, show_json, show_table, wants_json
 from labos.cli._people import describe_roles, lab_or_its_folder, role_choice, scope_of, workcell_option
+from labos.cli._secret import ask_password
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")
@@ -64,7 +65,7 @@ def add(
         if person or mail:
             client.set_person(name, name=person, mail=mail)
         found = client.user(name)
-    asker.end_with_json(found)
+    end_with_json(found)
     if is_first:
         click.echo(f"{name} is the admin of this lab. From now on only its users have access.")
     else:
@@ -80,7 +81,7 @@ def list_users(asker: Asker) -> None:
     """List all users, with their groups and roles."""
     with asker.lab() as client:
         found = client.users()
-    asker.end_with_json(found)
+    end_with_json(found)
     show_table(("id", "kind", "group", "roles", "since"), [_row(user) for user in found])
     if not found:
         click.echo("There are no users: everybody with network access to this lab has all rights.", err=True)
@@ -95,7 +96,7 @@ def show(name: str, asker: Asker) -> None:
         found = client.user(name)
         groups = {group["name"]: group for group in client.groups()}
     found["group_roles"] = groups.get(found["group"], {}).get("roles", {})
-    asker.end_with_json(found)
+    end_with_json(found)
     lines = (
         ("id", name),
         ("kind", found["kind"] + (", disabled" if found["disabled"] else "")),
@@ -116,9 +117,8 @@ def disable(name: str, asker: Asker) -> None:
     Users are never removed, because the log refers to them."""
     with asker.lab() as client:
         client.disable_user(name, asker.user)
-        found = client.user(name) if asker.as_json else {}
-    if asker.as_json:
-        show_json(found)
+        if wants_json():
+            show_json(client.user(name))
 
 
 @command.command("enable")
@@ -128,9 +128,8 @@ def enable(name: str, asker: Asker) -> None:
     """Enable a disabled user again."""
     with asker.lab() as client:
         client.enable_user(name, asker.user)
-        found = client.user(name) if asker.as_json else {}
-    if asker.as_json:
-        show_json(found)
+        if wants_json():
+            show_json(client.user(name))
 
 
 @command.command("password")
@@ -143,12 +142,10 @@ def password(name: str, asker: Asker) -> None:
     The command asks on the terminal. Without a terminal, it reads lines of standard input: the present
     password (only for your own), then the new one. All sessions of the user end.
     """
-    from labos.cli._secret import ask_password
-
     with lab_or_its_folder(asker.home) as client:
         present = ask_password("Your present password") if client.identity()["user"] == name else ""
         client.set_password(name, ask_password(f"New password of {name}", twice=True), present)
-    asker.report(f"{name} has a new password.", {"user": name, "password_set": True})
+    report_done(f"{name} has a new password.", {"user": name, "password_set": True})
 
 
 @command.command("name")
@@ -160,7 +157,7 @@ def rename(name: str, person: str | None, mail: str | None, asker: Asker) -> Non
     """Record a user's name and mail address. They are stored outside the log. The log has only ids."""
     with lab_or_its_folder(asker.home) as client:
         client.set_person(name, name=person, mail=mail)
-    asker.report(f"Name and address of {name} are recorded.", {"user": name, "name": person, "mail": mail})
+    report_done(f"Name and address of {name} are recorded.", {"user": name, "name": person, "mail": mail})
 
 
 @command.command("erase")
@@ -174,7 +171,7 @@ def erase(name: str, asker: Asker) -> None:
     """
     with lab_or_its_folder(asker.home) as client:
         client.erase_person(name)
-    asker.report(f"Personal data of {name} is erased. Only the id is left.", {"user": name, "erased": True})
+    report_done(f"Personal data of {name} is erased. Only the id is left.", {"user": name, "erased": True})
 
 
 @command.command("link")
@@ -191,7 +188,7 @@ def link(name: str, issuer: str, subject: str, asker: Asker) -> None:
     """
     with lab_or_its_folder(asker.home) as client:
         client.link_identity(name, issuer, subject)
-    asker.report(f"{subject} of {issuer} is {name}.", {"user": name, "issuer": issuer, "subject": subject})
+    report_done(f"{subject} of {issuer} is {name}.", {"user": name, "issuer": issuer, "subject": subject})
 
 
 def _row(user: dict[str, Any]) -> tuple[str, ...]:

@@ -9,15 +9,18 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
-from labos.cli._out import show_json, show_table
+from labos.cli._out import count_each, end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
 from labos.cli._specs import find_spec_path
+from labos.client import LabClient
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN
 from labos.errors import LabosError, NoAnswer, Refused, SpecError
 from labos.planning.certificate import Certificate
+from labos.planning.certified import certify_all, check_windows, describe_certificate
 from labos.services.capacity import Capacity, measure_capacity
+from labos.settings import find_kernel
 from labos.spec import (
     Compiled,
     CompiledWorkcell,
@@ -28,7 +31,10 @@ from labos.spec import (
     list_specs,
 )
 from labos.spec.choices import describe_choices, list_choices
+from labos.spec.dialects import detect_kind
 from labos.spec.findings import make_finding
+from labos.spec.source import read
+from labos.spec.uses import read_uses
 
 ONLINE_PATIENCE_S = 2.0
 """How long to wait for a lab that does not answer."""
@@ -85,26 +91,22 @@ def command(
     `windows: refuse` at the top of the workflow, this is an error.
     """
     if not workcell:
-        _check_alone(workflow, as_json=where.as_json)
+        _check_alone(workflow)
         return
     verdict, compiled = examine(workflow, workcell, read_payload(payloads), simulate)
     if online and compiled is not None:
         _ask(where, compiled, verdict)
-    if where.as_json:
-        show_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)})
-    else:
-        _show_verdict(verdict, compiled)
+    end_with_json({"sound": verdict.sound, **msgspec.to_builtins(verdict)}, int(not verdict.sound))
+    _show_verdict(verdict, compiled)
     if not verdict.sound:
         click.get_current_context().exit(1)
 
 
-def _check_alone(name: str, *, as_json: bool) -> None:
+def _check_alone(name: str) -> None:
     """Check a workcell or labware file. Raises NotFound, Exit(1); a workflow needs a workcell."""
     from labos.bootstrap import descriptions, shape_of
-    from labos.spec.dialects import detect_kind
     from labos.spec.importing import import_spec
     from labos.spec.layout_check import check_layout
-    from labos.spec.source import read
 
     needs = click.UsageError("To check a workflow, add --workcell.")
     if not Path(name).is_file() and name in list_specs("workflows"):
@@ -127,12 +129,10 @@ def _check_alone(name: str, *, as_json: bool) -> None:
     except SpecError as error:
         findings = [make_finding(error)]
     sound = all(finding.severity != "error" for finding in findings)
-    if as_json:
-        show_json({"sound": sound, "findings": findings})
-    else:
-        for finding in findings:
-            click.echo(f"{finding.severity}: {finding.as_error()}")
-        click.echo(f"{summary}, no errors." if sound else "It cannot be used.")
+    end_with_json({"sound": sound, "findings": findings}, int(not sound))
+    for finding in findings:
+        click.echo(f"{finding.severity}: {finding.as_error()}")
+    click.echo(f"{summary}, no errors." if sound else "It cannot be used.")
     if not sound:
         click.get_current_context().exit(1)
 
@@ -142,10 +142,7 @@ def examine(
 ) -> tuple[Verdict, Compiled | None]:
     """Compile, dry-run and measure the capacity. Raises NotFound for a missing file."""
     from labos.bootstrap import descriptions, shape_of
-    from labos.planning.certified import certify_all, check_windows
     from labos.spec.layout_check import check_layout
-    from labos.spec.source import read
-    from labos.spec.uses import read_uses
 
     flow_path, cell_path = find_spec_path("workflows", workflow), find_spec_path("workcells", workcell)
     known = descriptions()
@@ -190,9 +187,6 @@ def _count_copies(cell: CompiledWorkcell, compiled: Compiled) -> Capacity | None
 
 def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
     """The present answers of the nodes of all modules that the workflow uses. Raises NoAnswer."""
-    from labos.client import LabClient
-    from labos.settings import find_kernel
-
     kernel = None if where.lab else find_kernel(where.home)
     if kernel is None and not where.lab:
         raise NoAnswer(f"No lab runs in {where.home}.", remedy="Start it: labos up WORKCELL")
@@ -213,8 +207,6 @@ def _ask(where: Where, compiled: Compiled, verdict: Verdict) -> None:
 
 
 def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
-    from labos.planning.certified import describe_certificate
-
     for finding in verdict.findings:
         click.echo(f"{finding.severity}: {finding.as_error()}")
     if compiled is None:
@@ -224,24 +216,16 @@ def _show_verdict(verdict: Verdict, compiled: Compiled | None) -> None:
     plan = compiled.plan
     steps = sum(step.part == MAIN for step in plan.steps)
     click.echo(f"{plan.workflow} on {plan.workcell}: {steps} steps, no errors.")
-    for line in describe_choices(list_choices(compiled.plans)):
-        click.echo(line)
-    click.echo(f"Labware needed at the start: {_describe_places(verdict.inputs) or 'none'}.")
-    click.echo(f"Labware at the end: {_describe_places(verdict.outputs) or 'nowhere'}.")
-    for line in describe_certificate(verdict.certificate) if verdict.certificate else ():
-        click.echo(line)
+    show_lines(describe_choices(list_choices(compiled.plans)))
+    click.echo(f"Labware needed at the start: {count_each(map(local, verdict.inputs)) or 'none'}.")
+    click.echo(f"Labware at the end: {count_each(map(local, verdict.outputs)) or 'nowhere'}.")
+    show_lines(describe_certificate(verdict.certificate) if verdict.certificate else ())
     if verdict.copies is not None:
         click.echo(_describe_copies(verdict.copies))
     if verdict.modules:
-        click.echo()
-        show_table(("module", "status"), list(verdict.modules.items()))
+        show_table(("module", "status"), list(verdict.modules.items()), gap=True)
     if verdict.unreachable:
         click.echo(f"Not ready: {', '.join(verdict.unreachable)}.")
-
-
-def _describe_places(stations: tuple[StationName, ...]) -> str:
-    counts = {station: stations.count(station) for station in stations}
-    return ", ".join(local(name) if n == 1 else f"{n} × {local(name)}" for name, n in counts.items())
 
 
 def _describe_copies(copies: Capacity) -> str:

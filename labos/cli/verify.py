@@ -12,13 +12,14 @@ import click
 import msgspec
 
 from labos.cli._options import file_option, folder_option
-from labos.cli._out import end_with_json, show_json
-from labos.cli._query import Where, log_and_json, open_database
+from labos.cli._out import end_with_json, show_lines, wants_json
+from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
 from labos.core.state import hash_state
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
+from labos.private import create_file
 from labos.services.checkpoint import Checkpoint, find_contradiction, make_checkpoint, read_checkpoint
 from labos.services.journals import list_surplus
 from labos.services.signatures import check_signatures
@@ -34,13 +35,11 @@ from labos.services.verification import (
     check_snapshot,
 )
 from labos.services.words_check import check_words
-from labos.settings import Settings
 from labos.store import (
     AccountsCopy,
     Damage,
     Progress,
     SqlEventStore,
-    create_file,
     find_first_damage,
     key_of,
     open_blobs,
@@ -96,7 +95,7 @@ CAVEAT = (
 @file_option("--tsa", help="With --bundle: check the time stamp against the certificates in this PEM file.")
 @archive_option
 @key_option
-@log_and_json
+@folder_and_json
 def command(
     where: Where,
     file: Path | None,
@@ -139,24 +138,27 @@ def command(
     if archive is not None and (folder is None or detached):
         raise click.UsageError("--archive needs --backup FOLDER, and cannot be combined with --detached.")
     if bundle is not None:
-        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa), where.as_json)
+        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa))
         return
     key = key_of(key_file) if key_file else b""
     signed = file if file is not None and is_signed(file) else None
     if signed is not None and export:
         raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
-        if detached:
-            _verify_detached(folder, key, where.as_json)
-        else:
-            _verify_backup(folder, archive, key, where.as_json)
+        try:
+            if detached:
+                _verify_detached(folder, key)
+            else:
+                _verify_backup(folder, archive, key)
+        except LogDamaged as error:
+            _report_damage(error)
         return
     # The journals first: a request is in the log before its node receives it.
     about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
     with open_database(where) as store:
         seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
         end = add_seal(make_checkpoint(store), key)
-        with _show_progress(where.as_json) as progress:
+        with _show_progress(wants_json()) as progress:
             damage = find_first_damage(store, progress)
         against = find_contradiction(store, seen) if seen is not None else ""
         compared = None
@@ -179,40 +181,31 @@ def command(
         written = file is not None and not signed and whole and (seen is None or export)
         if file is not None and written:
             _write(file, end)
-    if where.as_json:
-        show_json(
-            {
-                "whole": whole,
-                "fault": fault or next(iter(others), ""),
-                "position": _find_first_position(damage, compared, parts),
-                "head": end,
-                "compared_with": seen or compared,
-                "parts": [
-                    VerifiedPart(
-                        "log", damage.position if damage else end.position, _describe_log(fault, end)
-                    ),
-                    *parts,
-                ],
-                "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
-                "checkpoint_written": written,
-            }
-        )
-    else:
-        _report_log(fault, end, seen, file, written=written, signed=signed is not None)
-        if compared is not None and not fault:
-            number = (
-                "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
-            )
-            click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
-        for part in parts:
-            for line in part.faults or (part.told,):
-                click.echo(line)
-        for other in more[1:]:
-            click.echo(f"{other.journal} knows {other.knows}.")
-        if nodes and not fault:
-            click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
-        if not journals:
-            click.echo("The nodes' journals were not checked (--journals).")
+    told = fault or f"{end.position} records in an unbroken chain."
+    head = VerifiedPart("log", damage.position if damage else end.position, told)
+    facts = {
+        "whole": whole,
+        "fault": fault or next(iter(others), ""),
+        "position": _find_first_position(damage, compared, parts),
+        "head": end,
+        "compared_with": seen or compared,
+        "parts": [head, *parts],
+        "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
+        "checkpoint_written": written,
+    }
+    end_with_json(facts, int(not whole))
+    _report_log(fault, end, seen, file, written=written, signed=signed is not None)
+    if compared is not None and not fault:
+        number = "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
+        click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
+    for part in parts:
+        show_lines(part.faults or (part.told,))
+    for other in more[1:]:
+        click.echo(f"{other.journal} knows {other.knows}.")
+    if nodes and not fault:
+        click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
+    if not journals:
+        click.echo("The nodes' journals were not checked (--journals).")
     if not whole:
         click.get_current_context().exit(1)
 
@@ -230,7 +223,7 @@ def _find_first_position(
 
 def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     """The parts beside the chain; if a part cannot be checked, that is a fault too."""
-    settings = Settings.make(where.home, where.url)
+    settings = where.settings
     looks: tuple[tuple[str, Callable[[], VerifiedPart]], ...] = (
         ("database", lambda: check_database(store)),
         ("end", lambda: check_end(store)),
@@ -247,10 +240,6 @@ def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
         except LabosError as error:
             found.append(VerifiedPart(name, 0, error.message, (str(error),)))
     return found
-
-
-def _describe_log(fault: str, end: Checkpoint) -> str:
-    return fault or f"{end.position} records in an unbroken chain."
 
 
 def _report_log(
@@ -270,21 +259,16 @@ def _report_log(
         click.echo(CAVEAT)
 
 
-def _verify_backup(folder: Path, archive: Path | None, key: bytes, as_json: bool) -> None:
-    try:
-        found, state = verify_backup(folder, key=key, archive=archive)
-        people = _accounts_of(folder, found.lab, key)
-    except LogDamaged as error:
-        _report_damage(error, as_json)
+def _verify_backup(folder: Path, archive: Path | None, key: bytes) -> None:
+    """Raises LogDamaged."""
+    found, state = verify_backup(folder, key=key, archive=archive)
+    people = _accounts_of(folder, found.lab, key)
     facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
-    end_with_json(facts, as_json)
+    end_with_json(facts)
     end = iso_time(found.segments[-1].recorded_at)
     click.echo(
         f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs, all seals valid."
-        if key
-        else f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs."
+        f"{len(found.blobs)} blobs{', all seals valid' if key else ''}."
     )
     click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
     click.echo(f"State {hash_state(state)}")
@@ -311,19 +295,17 @@ def _report_accounts(people: AccountsCopy | None) -> None:
         click.echo(f"The accounts of {people.users} users are intact, as of {iso_time(people.copied_at)}.")
 
 
-def _report_damage(error: LogDamaged, as_json: bool) -> NoReturn:
-    end_with_json({"whole": False, "fault": error.message, "position": error.position}, as_json, 1)
+def _report_damage(error: LogDamaged) -> NoReturn:
+    end_with_json({"whole": False, "fault": error.message, "position": error.position}, 1)
     click.echo(f"The backup is damaged. {error}")
     click.get_current_context().exit(1)
 
 
-def _verify_detached(folder: Path, key: bytes, as_json: bool) -> None:
-    try:
-        found = verify_detached(folder, key=key)
-        people = _accounts_of(folder, found.lab, key)
-    except LogDamaged as error:
-        _report_damage(error, as_json)
-    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)}, as_json)
+def _verify_detached(folder: Path, key: bytes) -> None:
+    """Raises LogDamaged."""
+    found = verify_detached(folder, key=key)
+    people = _accounts_of(folder, found.lab, key)
+    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
     first, last = found.segments[0], found.segments[-1]
     seals = ", all seals valid" if found.sealed else ""
     absent = f" ({found.blobs_absent} are elsewhere)" if found.blobs_absent else ""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from labos.cli._remote import folder_if_needed
+from labos.cli._remote import expect_folder
 from labos.services.trust.keys import SigningKeys, read_given_keys
 from labos.services.trust.witness import Witness
 
@@ -30,7 +30,7 @@ from labos.services.trust.witness import Witness
     default=Path("lab"),
     show_default=True,
     help="The folder of this lab, with its witness key and the checkpoints seen so far (keys/, witness/).",
-    callback=folder_if_needed,
+    callback=expect_folder,
 )
 def command(labs: tuple[str, ...], host: str, port: int, home: Path) -> None:
     """Cosign checkpoints of other labs until Ctrl-C (C2SP tlog-witness). A checkpoint is signed only if it

@@ -11,7 +11,11 @@ import msgspec
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options
+from labos.cli._out import show_json, show_lines, wants_json
 from labos.spec import Finding
+from labos.spec.labware import read_labware_files
+from labos.spec.source import read
+from labos.spec.tables import read_table_files
 
 SIGNS = {"added": "+", "removed": "-", "changed": "~"}
 
@@ -40,10 +44,6 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
     """
     from labos.bootstrap import descriptions
     from labos.cli._lab import find_workcell_file
-    from labos.cli._out import show_json
-    from labos.spec.labware import read_labware_files
-    from labos.spec.source import read
-    from labos.spec.tables import read_table_files
 
     path = Path(find_workcell_file(file))
     text = path.read_text(encoding="utf-8-sig")
@@ -51,15 +51,15 @@ def apply(file: str, dry_run: bool, yes: bool, asker: Asker) -> None:
         source = read(path, last_wins=True)
         labware, files = read_labware_files(source), read_table_files(source, descriptions())
         found = client.apply_workcell(text, str(path), asker.user, dry_run=True, labware=labware, files=files)
-        if not asker.as_json:
+        if not wants_json():
             _show(found)
         if not dry_run and _list_changes(found):
-            if not (yes or asker.as_json or found["blockers"]):
+            if not (yes or wants_json() or found["blockers"]):
                 click.confirm("Apply it?", abort=True)
             found = client.apply_workcell(text, str(path), asker.user, labware=labware, files=files)
-            if not asker.as_json:
+            if not wants_json():
                 click.echo(f"{found['workcell']} is changed.")
-    if asker.as_json:
+    if wants_json():
         show_json(found)
 
 
@@ -82,7 +82,5 @@ def _show(found: dict[str, Any]) -> None:
     for finding in found["findings"]:
         click.echo(f"labos: {msgspec.convert(finding, Finding)}", err=True)
     lines = _list_changes(found)
-    for line in lines or [f"{found['workcell']} agrees with the file."]:
-        click.echo(line)
-    for blocker in found["blockers"]:
-        click.echo(f"Prevented by: {blocker}")
+    show_lines(lines or [f"{found['workcell']} agrees with the file."])
+    show_lines(found["blockers"], "Prevented by: ")

@@ -7,6 +7,7 @@ from typing import Any
 import msgspec
 
 from labos import errors
+from labos.core.texts import make_code
 from labos.errors import BadInput, LabosError
 
 AS_BAD_INPUT = ("spec_errors", "spec_error", "too_large", "too_slow", "uri_too_long")
@@ -62,6 +63,5 @@ def _list_errors() -> dict[str, type[LabosError]]:
     found: dict[str, type[LabosError]] = dict.fromkeys(AS_BAD_INPUT, BadInput)
     for name, kind in vars(errors).items():
         if isinstance(kind, type) and issubclass(kind, LabosError) and kind.__init__ is LabosError.__init__:
-            code = "".join(f"_{c.lower()}" if c.isupper() and at else c.lower() for at, c in enumerate(name))
-            found[code] = kind
+            found[make_code(name)] = kind
     return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,20 +29,21 @@ class BatchRun(NamedTuple):
     payload: Mapping[str, Any]
 
 
-def workflow_texts(
-    workflow: str | Path | Mapping[str, Any], payloads: Sequence[Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    """The workflow for each payload, with the files that this payload names. It is read again only if a
-    payload contains other texts than the earlier ones. Raises as ``workflow_text``."""
+def list_runs(
+    workflow: str | Path | Mapping[str, Any], payloads: Iterable[Mapping[str, Any]], request: str
+) -> list[BatchRun]:
+    """A run for each payload, with the files that this payload names; their keys begin with ``request``. The
+    workflow is read again only if a payload contains other texts than the earlier ones. Raises as
+    ``workflow_text``."""
     from labos.spec.references import iterate_texts
 
     known: dict[frozenset[str], dict[str, Any]] = {}
     found = []
-    for payload in payloads:
+    for number, payload in enumerate(payloads):
         texts = frozenset() if isinstance(workflow, Mapping) else frozenset(iterate_texts(payload))
         if texts not in known:
             known[texts] = workflow_text(workflow, payload)
-        found.append(known[texts])
+        found.append(BatchRun(number, f"{request}-{number}", known[texts], payload))
     return found
 
 

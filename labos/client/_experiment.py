@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from random import Random  # noqa: TID251 - its seed stands in the log
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from labos.client import _flows, _globus, _transfers
-from labos.client._batches import BatchRun, workflow_texts
+from labos.client._batches import BatchRun, list_runs
 from labos.client._files import workflow_text
 from labos.client._flows import Flow, FlowFailed, FlowResult
 from labos.client._lab import LabClient, LabUnreachable
@@ -173,15 +174,15 @@ class Experiment(LoggedEvents):
         """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a restarted
         program requested another one."""
         taken, record = self._take("run", workflow, key), self._record
-        request, source = record.request_of(taken), workflow_text(workflow, payload)
+        asked = self._make_run(taken, workflow, payload)
         with record.keep_key_on_failure(taken):
-            run = record.find_run(taken, request, source, payload)
+            run = record.find_run(taken, asked)
             if run:
                 result = self.lab.wait(run, progress=progress)
             else:
-                options = {**self._make_options(), "request": request, "progress": progress}
-                with record.expect_same(taken, request, source, payload):
-                    result = self.lab.run(source, payload, **options)
+                options = {**self._make_options(), "request": asked.key, "progress": progress}
+                with record.expect_same(taken, [asked]):
+                    result = self.lab.run(asked.workflow, payload, **options)
         if check and not result.succeeded:
             raise RunFailed(result)
         return result
@@ -191,9 +192,16 @@ class Experiment(LoggedEvents):
     ) -> str:
         """Queue a run of a workflow; returns its id. Options are those of ``LabClient.submit``. Raises
         ReplayMismatch."""
-        taken = self._take("submit", workflow, key)
-        with self._record.keep_key_on_failure(taken):
-            return self._submit(taken, self._record.request_of(taken), workflow, payload, options)
+        taken, record = self._take("submit", workflow, key), self._record
+        with record.keep_key_on_failure(taken):
+            asked = self._make_run(taken, workflow, payload)
+            known = record.find_run(taken, asked)
+            if known:
+                self.lab.warnings = []
+                return known
+            options = {**self._make_options(), **options}
+            with record.expect_same(taken, [asked]):
+                return self.lab.submit(asked.workflow, payload, request=asked.key, **options)
 
     def submit_all(
         self,
@@ -208,16 +216,13 @@ class Experiment(LoggedEvents):
         taken = self._take("submit_all", workflow, key)
         record = self._record
         request = options.pop("request", "") or record.request_of(taken)
-        given = list(payloads)
-        texts = workflow_texts(workflow, given)
-        keys = [f"{request}-{number}" for number in range(len(given))]
-        asked = [BatchRun(*each) for each in zip(range(len(given)), keys, texts, given, strict=True)]
+        asked = list_runs(workflow, payloads, request)
         with record.keep_key_on_failure(taken):
-            known = {run.number: record.find_run(taken, run.key, run.workflow, run.payload) for run in asked}
+            known = {run.number: record.find_run(taken, run) for run in asked}
             new = [run for run in asked if not known[run.number]]
             if len(new) < len(asked):
                 options.pop("place", None)  # it was recorded with the first run
-            with record.same_each(taken, new):
+            with record.expect_same(taken, new):
                 found = self.lab._submit_batches(new, **{**self._make_options(), **options})
         return [known[run.number] or found.pop(0) for run in asked]
 
@@ -252,8 +257,6 @@ class Experiment(LoggedEvents):
         name. Creators are ids of users, or their ORCID iDs: a publication stays in the log permanently, so
         name no persons. With an ``index`` of Globus Search it can be found there, too. Raises BadInput for a
         file that cannot be read, GlobusError."""
-        from labos.services.compute import PlaceUnavailable
-
         taken = self._take("publish", title, key)
         kept = [
             {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
@@ -261,7 +264,7 @@ class Experiment(LoggedEvents):
         ]
         listed = {"keywords": list(keywords), "creators": list(creators) or [self.user], "runs": list(runs)}
         facts = {"title": title, "about": about, "files": kept, **listed}
-        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
+        with self._keep_key(taken):
             self._record.keep(taken, "publication", title, facts)
             if index is not None:
                 of = {"experiment": self.id, "application": self.name}
@@ -302,11 +305,13 @@ class Experiment(LoggedEvents):
     ) -> list[Any]:
         """The results of a function for each argument, in their order. Raises ComputeFailed, ReplayMismatch,
         PlaceUnavailable."""
-        from labos.services.compute import PlaceUnavailable
-
         taken = self._take("compute_all", function, key)
-        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
-            begun = self._computations.submit_all(function, arguments, where, taken)
+        with self._keep_key(taken):
+            submit = self._computations.submit
+            begun = [
+                submit(function, (each,), {}, where, f"{taken}-{number}")
+                for number, each in enumerate(arguments)
+            ]
             return [each.result() for each in begun]
 
     def run_flow(
@@ -316,10 +321,8 @@ class Experiment(LoggedEvents):
         its start, its end, each step and each further attempt are in the log. A restarted program continues
         at the same step. A flow that is defined in Globus Flows is started there once, and its end awaited.
         Raises FlowFailed if a step fails finally, unless ``check`` is false; ReplayMismatch, GlobusError."""
-        from labos.services.compute import PlaceUnavailable
-
         taken = self._take("run_flow", flow, key)
-        with self._record.keep_key_on_failure(taken, PlaceUnavailable):
+        with self._keep_key(taken):
             if isinstance(flow, Flow):
                 result = _flows.run(self._record, self._computations, taken, flow, given)
             else:
@@ -334,10 +337,8 @@ class Experiment(LoggedEvents):
         restarted program does not repeat a finished transfer. Between two places
         ``globus://<collection>/<path>``, Globus copies the file (extra ``globus``), and compares the given
         SHA-256. Raises TransferFailed, ReplayMismatch, GlobusError."""
-        from labos.services.compute import PlaceUnavailable
-
         taken = self._take("transfer", target, key)
-        with self._record.keep_key_on_failure(taken, TransferFailed, PlaceUnavailable):
+        with self._keep_key(taken, TransferFailed):
             if _globus.is_globus(source) or _globus.is_globus(target):
                 return _globus.transfer(self._record, taken, source, target, self._carrier, sha256)
             return _transfers.transfer(self._record, taken, source, target)
@@ -360,24 +361,17 @@ class Experiment(LoggedEvents):
     def _take(self, method: str, what: Any, key: str) -> Key:
         return self._record.take(method, what, key)
 
+    def _keep_key(self, key: Key, *failures: type[LabosError]) -> AbstractContextManager[None]:
+        """As ``keep_key_on_failure``, for calls that use external services."""
+        from labos.services.compute import PlaceUnavailable
+
+        return self._record.keep_key_on_failure(key, PlaceUnavailable, *failures)
+
     def _make_options(self) -> dict[str, Any]:
         return {"user": self.user, "workcell": self.workcell, "experiment": self.id}
 
-    def _submit(
-        self,
-        key: Key,
-        request: str,
-        workflow: str | Path,
-        payload: Mapping[str, Any] | None,
-        options: Mapping[str, Any],
-    ) -> str:
-        source, record = workflow_text(workflow, payload), self._record
-        known = record.find_run(key, request, source, payload)
-        if known:
-            self.lab.warnings = []
-            return known
-        with record.expect_same(key, request, source, payload):
-            return self.lab.submit(source, payload, request=request, **{**self._make_options(), **options})
+    def _make_run(self, key: Key, workflow: str | Path, payload: Mapping[str, Any] | None) -> BatchRun:
+        return BatchRun(0, self._record.request_of(key), workflow_text(workflow, payload), payload or {})
 
     def _send_heartbeats(self) -> None:
         while not self._over.wait(HEARTBEAT_S):

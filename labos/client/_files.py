@@ -48,9 +48,11 @@ def workflow_text(
     return {"text": text, "name": str(path), "files": _encode(_read_files_beside(path, text, payload or {}))}
 
 
-def campaign_text(campaign: str | Path) -> dict[str, Any]:
+def campaign_text(campaign: str | Path | Mapping[str, Any]) -> dict[str, Any]:
     """A campaign file with the workflow and the table that it names: both are beside it, or the workflow is a
-    packaged one. Raises BadInput, NotFound, SpecError."""
+    packaged one. Such a text is returned unchanged. Raises BadInput, NotFound, SpecError."""
+    if isinstance(campaign, Mapping):
+        return dict(campaign)
     from labos.spec.campaign import find_beside, find_table_of_campaign, find_workflow_of_campaign
 
     path = Path(campaign)

@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from labos.client._answers import LabUnreachable as LabUnreachable
 from labos.client._answers import answer_of
-from labos.client._bench import BenchCalls
+from labos.client._calls import API as API
 from labos.client._calls import LONG_POLL_S, in_path
-from labos.client._campaigns import CampaignCalls
-from labos.client._files import workflow_text
+from labos.client._files import campaign_text, workflow_text
 from labos.client._runs import RunCalls
 from labos.client._tables import rows_of
-from labos.client._transport import API as API
-from labos.client._transport import Transport
 from labos.core.canonical import digest
 from labos.errors import BadInput, LogDamaged
 
@@ -26,10 +23,13 @@ if TYPE_CHECKING:
 
     from labos.services.results import Readings
 
+PAGE = 500
+"""The number of proposals in an answer."""
+
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 
-class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
+class LabClient(RunCalls):
     """A lab, over HTTP. Give its ``url``, or its ``home`` folder on this machine.
 
     Requests are repeated while the lab does not answer, for ``patience_s`` in all, for example during a
@@ -128,10 +128,7 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
         """A page of events as the lab sends it, with the position at which the next page begins."""
-        response = self._request("GET", "/events", repeat=True, params=dict(asked))
-        if response.status_code >= 400:
-            answer_of(response.status_code, response.content)
-        return bytes(response.content)
+        return self._fetch("/events", **asked)
 
     # -- experiments -------------------------------------------------------------------------
 
@@ -165,6 +162,102 @@ class LabClient(RunCalls, BenchCalls, CampaignCalls, Transport):
         self._note_approval(answer)
         return str(answer["experiment"])
 
+    # -- the bench ---------------------------------------------------------------------------
+
+    def apply_workcell(
+        self,
+        text: str,
+        file: str,
+        by: str,
+        *,
+        dry_run: bool = False,
+        labware: Mapping[str, bytes] | None = None,
+        files: Mapping[str, bytes] | None = None,
+    ) -> dict[str, Any]:
+        """Change a workcell to the content of its file. With ``dry_run``, only return the changes and the
+        obstacles. ``labware`` contains the labware files that the workcell file names, ``files`` the other
+        files, such as tables of drivers: the lab reads no other files."""
+        return self._change_workcell(text, by, name=file, dry_run=dry_run, labware=labware, files=files)
+
+    def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
+        """Report that no person is in the workcell any more, and the present content of changed stations:
+        ``empty``, labware by its id, or a labware type."""
+        changes = [{"station": station, "what": what} for station, what in changed]
+        self._end_workcell_access(workcell, by, note=note, changed=changes)
+
+    def load_samples(
+        self,
+        sheet: str | Path,
+        by: str,
+        *,
+        labware: str = "",
+        station: str = "",
+        replace: bool = False,
+    ) -> dict[str, int]:
+        """Register the samples in the wells of plates, from a CSV file; ``labware`` or ``station`` names the
+        plate if the sheet does not. Returns the number of samples in each plate."""
+        path = Path(sheet)
+        where = {"labware": labware, "station": station}
+        return self._register_sheet(_text_of(path), by, name=str(path), replace=replace, **where)
+
+    # -- campaigns and approvals -------------------------------------------------------------
+
+    def submit_campaign(
+        self,
+        campaign: str | Path | Mapping[str, Any],
+        *,
+        user: str,
+        dry_run: bool = False,
+        request: str = "",
+        propose: bool = False,
+    ) -> dict[str, Any]:
+        """Check a campaign file with its table and workflow, row by row, and submit it. Returns its id as
+        ``campaign`` (empty if only checked, with ``dry_run``) and its needs as ``estimate``. The same
+        ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of the
+        answer is the reason. Instead of a file, give a mapping with its ``text`` and its ``workflow``."""
+        return self._submit_campaign_file(
+            **campaign_text(campaign), user=user, dry_run=dry_run, request=request, propose=propose
+        )
+
+    def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
+        """Check a campaign file as ``submit_campaign`` does, and submit nothing. Returns its needs as
+        ``estimate``, and its expected times and the delays of others as ``forecast``."""
+        return self._forecast_campaign_file(**campaign_text(campaign), user=user)
+
+    def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
+        """Change the terms of a campaign. Returns the terms in force: a change that waits for an approval
+        (see ``approval`` of the client) is not among them. Changes: ``priority``, ``deadline``, ``runs``,
+        ``lab_time_s``, ``consumables``, ``tags``, ``until``, ``stop_after``."""
+        found = self._amend_campaign(campaign, by, **changes)
+        self.approval = str(found.get("approval", ""))
+        return dict(found["terms"])
+
+    def clone_campaign(self, campaign: str, by: str, *, request: str = "", **changes: Any) -> dict[str, Any]:
+        """Submit a copy of a campaign, also of one that has ended; returns as ``submit_campaign``. Changes:
+        ``name``, ``visibility``, ``dry_run``, ``propose``, and those of ``amend_campaign``."""
+        return self._clone_a_campaign(campaign, by, request=request, **changes)
+
+    def approvals(self) -> list[dict[str, Any]]:
+        """The submissions that wait for an approval, the oldest first: ``subject``, ``digest``, ``why`` and
+        further fields."""
+        found: list[dict[str, Any]] = []
+        more = True
+        while more:
+            page = self._list_approvals(after=found[-1]["subject"] if found else "", limit=PAGE)
+            found += page["approvals"]
+            more = page["more"] and bool(page["approvals"])
+        return found
+
 
 def _show_file(file: str | Mapping[str, Any]) -> str:
     return str(file.get("file", file.get("sha256", ""))) if isinstance(file, Mapping) else file
+
+
+def _text_of(path: Path) -> str:
+    """The text of a file. Raises BadInput."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise BadInput(f"The file {path} cannot be read: {error.strerror or error}.") from None
+    except UnicodeDecodeError:
+        raise BadInput(f"The file {path} is not text.", remedy="Save it as CSV in UTF-8.") from None

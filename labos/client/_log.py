@@ -31,11 +31,6 @@ _encode = msgspec.json.Encoder(order="sorted").encode  # the form in which the l
 _page = msgspec.json.Decoder(_Page)
 
 
-class _Records(msgspec.Struct, frozen=True):
-    records: list[Record]
-    position: int
-
-
 class LabLog:
     """Reads a page at a time: with words in place of references, or as it is ``stored``."""
 
@@ -92,23 +87,25 @@ class LabLog:
         if self._stored:
             asked["stored"] = True
         if query.last is not None and query.last <= MOST_LAST:
-            return iter(self._ask({**asked, "after": query.after, "last": query.last}).records)
+            records, _ = self._ask({**asked, "after": query.after, "last": query.last})
+            return iter(records)
         found = self._iterate_pages(asked, query.after)
         return found if query.last is None else iter(deque(found, query.last))
 
     def _iterate_pages(self, asked: dict[str, Any], after: int) -> Iterator[Record]:
         while True:
-            page = self._ask({**asked, "after": after})
-            yield from page.records
-            if page.position <= after or (asked["upto"] and page.position >= asked["upto"]):
+            records, position = self._ask({**asked, "after": after})
+            yield from records
+            if position <= after or (asked["upto"] and position >= asked["upto"]):
                 return
-            after = page.position
+            after = position
 
-    def _ask(self, asked: dict[str, Any]) -> _Records:
+    def _ask(self, asked: dict[str, Any]) -> tuple[list[Record], int]:
+        """The records of a page, and the position at which the next page begins."""
         page = _page.decode(self._client.page_of_events(asked))
         if page.events and not self._lab:
             self._lab = str(self._client.health()["lab"])
-        return _Records([self._record(event) for event in page.events], page.position)
+        return [self._record(event) for event in page.events], page.position
 
     def _record(self, event: EventLine) -> Record:
         payload = bytes(event.payload)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -26,7 +26,7 @@ from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
 
 if TYPE_CHECKING:
     from labos.client._batches import BatchRun
-    from labos.client._lab import LabClient
+    from labos.client._experiment import Experiment
 
 LARGEST_IN_EVENT = 16 * 1024
 """The largest number of bytes of a result in its event; a larger one is stored as a file of the lab."""
@@ -43,18 +43,10 @@ KINDS = {
 """The kind of call in a key, where it differs from the name of the method."""
 
 
-class RecordedExperiment(Protocol):
-    """The part of an experiment that is needed here."""
-
-    lab: LabClient
-    user: str
-    id: str
-
-
 class ExperimentRecord:
     """The record of one experiment."""
 
-    def __init__(self, experiment: RecordedExperiment) -> None:
+    def __init__(self, experiment: Experiment) -> None:
         self._of = experiment
         self._keys = CallKeys()
         self.past = ExperimentPast(experiment.lab, "")
@@ -97,34 +89,24 @@ class ExperimentRecord:
         """The key of the request for a run."""
         return request_of(self.experiment, key)
 
-    def find_run(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> str:
+    def find_run(self, key: Key, asked: BatchRun) -> str:
         """The run in the log for a request; empty if there is none. Raises ReplayMismatch."""
-        recorded = self.past.runs.get(request)
+        recorded = self.past.runs.get(asked.key)
         if recorded is None:
             return ""
-        check_run(self.experiment, key, recorded, source["text"], payload)
+        check_run(self.experiment, key, recorded, asked.workflow["text"], asked.payload)
         return str(recorded["run"])
 
     @contextmanager
-    def expect_same(self, key: Key, request: str, source: Mapping[str, Any], payload: Any) -> Iterator[None]:
-        """If the lab knows the key of a request with different content, raise ReplayMismatch with the
+    def expect_same(self, key: Key, runs: Sequence[BatchRun]) -> Iterator[None]:
+        """If the lab knows the key of a requested run with different content, raise ReplayMismatch with the
         difference."""
         try:
             yield
         except KeyReused:
             self._read_past_again()
-            self.find_run(key, request, source, payload)
-            raise
-
-    @contextmanager
-    def same_each(self, key: Key, runs: Sequence[BatchRun]) -> Iterator[None]:
-        """The same for several requests that are sent together."""
-        try:
-            yield
-        except KeyReused:
-            self._read_past_again()
             for run in runs:
-                self.find_run(key, run.key, run.workflow, run.payload)
+                self.find_run(key, run)
             raise
 
     # -- notes -------------------------------------------------------------------------------

@@ -13,13 +13,16 @@ import threading
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from labos.client._calls import make_plain
 from labos.core.canonical import digest, encode_canonical
 from labos.errors import BadInput, LabosError
+
+if TYPE_CHECKING:
+    from labos.client._lab import LabClient
 
 LONGEST_KEY = 150
 """The largest number of characters of a key; the rest of a longer one is replaced by a digest."""
@@ -87,16 +90,10 @@ def request_of(experiment: str, key: str) -> str:
     return name if name.isascii() and name.isprintable() else f"{experiment}/{_make_digest(key)}"
 
 
-class EventSource(Protocol):
-    """The part of a lab that is needed here."""
-
-    def events(self, after: int = 0, **filters: Any) -> Any: ...
-
-
 class ExperimentPast:
     """The log's record of an experiment. ``status``: open, cancelled, closing or ended."""
 
-    def __init__(self, lab: EventSource, experiment: str) -> None:
+    def __init__(self, lab: LabClient, experiment: str) -> None:
         self.lab, self._experiment = lab, experiment
         self._position = 0
         self._reading = threading.Lock()
@@ -112,8 +109,7 @@ class ExperimentPast:
     def read(self) -> ExperimentPast:
         """Read up to the present end of the log. Raises LabUnreachable."""
         with self._reading:
-            filters = {"type": list(TYPES), "correlation": self._experiment}
-            for event in self.lab.events(self._position, **filters):
+            for event in self.lab.events(self._position, type=list(TYPES), correlation=self._experiment):
                 self._fold(event["type"], event["payload"], event)
                 self._position = event["position"]
         return self

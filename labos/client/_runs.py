@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from labos import errors
-from labos.client._batches import BatchRun, cut_into_batches, merge_files, workflow_texts
+from labos.client._batches import BatchRun, cut_into_batches, list_runs, merge_files
 from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
 from labos.client._generated import GeneratedCalls
@@ -31,8 +31,6 @@ Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
 
 class RunCalls(GeneratedCalls):
     """Calls about one run, and about many."""
-
-    warnings: list[str]
 
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
@@ -115,11 +113,7 @@ class RunCalls(GeneratedCalls):
         than 50 runs are sent in requests of 50. Options are those of ``submit``; the labware in ``place`` was
         put there once, for all runs. The same ``request`` twice are the same runs, so an interrupted call can
         be repeated. ``warnings`` of the client are those of all runs."""
-        request = request or self._ids.new()
-        given = list(payloads)
-        texts = workflow_texts(workflow, given)
-        keys = [f"{request}-{number}" for number in range(len(given))]
-        asked = [BatchRun(*each) for each in zip(range(len(given)), keys, texts, given, strict=True)]
+        asked = list_runs(workflow, payloads, request or self._ids.new())
         return self._submit_batches(asked, user=user, **options)
 
     def _submit_batches(self, asked: Sequence[BatchRun], *, user: str, **options: Any) -> list[str]:

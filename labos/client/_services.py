@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -68,13 +68,6 @@ class Computations:
             unavailable=lambda: self._record.give_back(key),
             sent=lambda attempt: self._record.find_sent(f"{key} attempt {attempt}", "Globus Compute"),
         )
-
-    def submit_all(
-        self, function: Callable[..., Any], of: Iterable[Any], where: str, key: str
-    ) -> list[Future[Any]]:
-        return [
-            self.submit(function, (each,), {}, where, f"{key}-{number}") for number, each in enumerate(of)
-        ]
 
     def _replay(
         self,

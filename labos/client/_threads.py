@@ -127,24 +127,20 @@ Method = Callable[Concatenate[Any, P], T]
 AsyncMethod = Callable[Concatenate[Any, P], Coroutine[Any, Any, T]]
 
 
-def ask(method: Method[P, T]) -> AsyncMethod[P, T]:
-    """The asynchronous twin of a method with a quick answer."""
+def ask(method: Method[P, T], *, waits: bool = False) -> AsyncMethod[P, T]:
+    """The asynchronous twin of a method with a quick answer, or of one that ``waits``."""
 
     @wraps(method)
     async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
-        return await twin.threads.call(method, twin.sync, *args, **options)
+        call = twin.threads.wait if waits else twin.threads.call
+        return await call(method, twin.sync, *args, **options)
 
     return work
 
 
 def ask_and_wait(method: Method[P, T]) -> AsyncMethod[P, T]:
     """The asynchronous twin of a method that may wait."""
-
-    @wraps(method)
-    async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
-        return await twin.threads.wait(method, twin.sync, *args, **options)
-
-    return work
+    return ask(method, waits=True)
 
 
 def ask_in_turn(method: Method[P, T]) -> AsyncMethod[P, T]:

@@ -20,12 +20,13 @@ outside, ``experiment`` is a result out of range."""
 
 
 class ActionEvent(Event, frozen=True):
-    """Every action event names run, step and module, so that it can be read on its own."""
+    """Every action event names run, step, module and attempt, so that it can be read on its own."""
 
     action: ActionId
     run: RunId
     step: int
     module: ModuleName
+    attempt: int
 
     def stream(self) -> str:
         return self.run or self.module
@@ -38,7 +39,6 @@ class ActionRequested(ActionEvent, frozen=True):
     ``effects`` name the labware that they concern. ``together`` are all actions that the device carries out
     at once with this one, this one included; empty if it carries out this one alone."""
 
-    attempt: int
     epoch: int
     journal: str
     name: str
@@ -53,15 +53,12 @@ class ActionRequested(ActionEvent, frozen=True):
 class ActionAccepted(ActionEvent, frozen=True):
     """The node has stored the attempt in its journal and carries it out."""
 
-    attempt: int
-
 
 @event("action.rejected")
 class ActionRejected(ActionEvent, frozen=True):
     """The node refused the action before anything moved. With ``final``, it would refuse again; otherwise the
     step waits for another attempt."""
 
-    attempt: int
     why: str
     final: bool = True
 
@@ -71,7 +68,6 @@ class ActionReported(ActionEvent, frozen=True):
     """The device reports success. The action counts as succeeded when observers have confirmed what stands at
     the stations ``looks`` now. ``ended_ns`` is as in ``action.succeeded``."""
 
-    attempt: int
     looks: tuple[StationName, ...]
     result: Any = None
     ended_ns: int = 0
@@ -82,7 +78,6 @@ class ActionSucceeded(ActionEvent, frozen=True):
     """The action succeeded; its effects follow as further events. ``ended_ns`` is the end by the node's own
     clock (UTC ns). It is 0 if the node reported no time, or a time before the request."""
 
-    attempt: int
     result: Any = None
     ended_ns: int = 0
 
@@ -93,7 +88,6 @@ class ActionFailed(ActionEvent, frozen=True):
     reported an error. It is ``operational`` if the device reported a collision, or if it reported success and
     an observer saw something else."""
 
-    attempt: int
     error: str
     effects: EffectsDone
     kind: FailureKind = "software"
@@ -103,7 +97,6 @@ class ActionFailed(ActionEvent, frozen=True):
 class ActionUnknown(ActionEvent, frozen=True):
     """It is unknown whether the action was done. A sensor or a person has to find out."""
 
-    attempt: int
     why: str
 
 
@@ -112,7 +105,6 @@ class ActionReconciled(ActionEvent, frozen=True):
     """An action's unknown outcome is now known; ``by`` names the person or module that reported it. If the
     action was done, ``result`` is the value that later steps read."""
 
-    attempt: int
     effects: EffectsDone
     by: str
     result: Any = None
@@ -126,7 +118,6 @@ ActionEnd = ActionRejected | ActionSucceeded | ActionFailed | ActionReconciled
 class ActionEvidence(ActionEvent, frozen=True):
     """A result arrived after the outcome of the action had already been settled."""
 
-    attempt: int
     succeeded: bool
     effects: EffectsDone
     settled_as: EffectsDone

@@ -118,38 +118,18 @@ class RunApproved(RunEvent, frozen=True):
     by: str
 
 
-class Proposal(msgspec.Struct):
-    """A submission that waits for an approval, with the data of ``ApprovalRequested``."""
+class Proposal(ApprovalRequested, frozen=True):
+    """A submission that waits for an approval since ``requested_at`` (UTC ns)."""
 
-    subject: str
-    kind: Kind
-    name: str
-    user: str
-    by: str
-    digest: str
-    why: tuple[Why, ...]
-    parts: dict[str, str]
-    demand: Demand
-    before: str
-    changed: tuple[str, ...]
-    terms: Terms | None
-    requested_at: int
+    requested_at: int = 0
 
     @property
     def codes(self) -> set[str]:
         return {why.code for why in self.why}
 
 
-class LastApproval(msgspec.Struct):
-    """The last approved content under a name; for a campaign with its approved ``terms``."""
-
-    subject: str
-    parts: dict[str, str]
-    terms: Terms | None = None
-
-
 class Approvals(msgspec.Struct):
-    """``open`` are the proposals by subject. ``past`` are the last approvals by kind and name. ``given``
+    """``open`` are the proposals by subject. ``past`` are the last approved ones by kind and name. ``given``
     counts the approvals of each user's submissions. ``alike`` are, by experiment, the workflows (by
     ``take_common_parts``) whose further runs need no approval. ``applied`` is the digest of the policy's
     file."""
@@ -157,12 +137,12 @@ class Approvals(msgspec.Struct):
     policy: Policy = Policy()
     applied: str = ""
     open: dict[str, Proposal] = {}
-    past: dict[str, LastApproval] = {}
+    past: dict[str, Proposal] = {}
     given: dict[str, int] = {}
     alike: dict[str, dict[str, bool]] = {}
 
-    def find_last(self, kind: Kind, name: str) -> LastApproval | None:
-        """The last approval of a kind and name."""
+    def find_last(self, kind: Kind, name: str) -> Proposal | None:
+        """The last approved proposal of a kind and name."""
         return self.past.get(f"{kind}:{name}")
 
 
@@ -191,7 +171,7 @@ def fold_approval_given(approvals: Approvals, event: ApprovalGiven, at: int) -> 
     approvals.past.pop(key, None)
     terms = event.terms or proposal.terms
     changed = {"terms": digest(encode_canonical(terms))} if event.terms is not None else {}
-    approvals.past[key] = LastApproval(proposal.subject, proposal.parts | changed, terms)
+    approvals.past[key] = msgspec.structs.replace(proposal, parts=proposal.parts | changed, terms=terms)
     while len(approvals.past) > PAST_KEPT:
         del approvals.past[next(iter(approvals.past))]
     approvals.given[proposal.user] = approvals.given.get(proposal.user, 0) + 1
@@ -239,12 +219,11 @@ def fold_approval_requested_into_runs(runs: Runs, event: ApprovalRequested, at: 
 
 
 def fold_approval_given_into_runs(runs: Runs, event: ApprovalGiven, at: int) -> None:
-    if event.kind != "run":
-        return
-    run = runs.queued[RunId(event.subject)]
-    with requeue(runs, run):
-        run.held = False
-        run.priority = run.priority if event.priority is None else event.priority
+    if event.kind == "run":
+        run = runs.queued[RunId(event.subject)]
+        with requeue(runs, run):
+            run.held = False
+            run.priority = run.priority if event.priority is None else event.priority
 
 
 def fold_approval_requested_into_campaigns(campaigns: Campaigns, event: ApprovalRequested, at: int) -> None:

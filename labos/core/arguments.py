@@ -11,26 +11,17 @@ from typing import Any
 
 from labos.core.model import ActionSpec, Arg
 
-_KINDS: dict[str, tuple[type, ...]] = {
-    "str": (str,),
-    "station": (str,),
-    "file": (str,),
-    "int": (int,),
-    "float": (int, float),
-    "bool": (bool,),
-    "list": (list, tuple),
-    "dict": (dict,),
+_KINDS: dict[str, tuple[str, tuple[type, ...]]] = {
+    "str": ("a text", (str,)),
+    "station": ("the name of a station", (str,)),
+    "file": ("the name of a file", (str,)),
+    "int": ("a whole number", (int,)),
+    "float": ("a number", (int, float)),
+    "bool": ("true or false", (bool,)),
+    "list": ("a list", (list, tuple)),
+    "dict": ("a mapping", (dict,)),
 }
-_WORDS = {
-    "str": "a text",
-    "station": "the name of a station",
-    "file": "the name of a file",
-    "int": "a whole number",
-    "float": "a number",
-    "bool": "true or false",
-    "list": "a list",
-    "dict": "a mapping",
-}
+"""The types of arguments, in words and in Python."""
 
 
 def list_names(spec: ActionSpec) -> dict[str, Arg]:
@@ -44,7 +35,7 @@ def find_flaw(arg: Arg, value: Any) -> str:
     if value is None and not arg.required and arg.default is None:
         return ""
     if arg.type in _KINDS and not _is_kind(arg.type, value):
-        return f"must be {_WORDS[arg.type]}, not {shorten(value)}"
+        return f"must be {_KINDS[arg.type][0]}, not {shorten(value)}"
     if isinstance(value, float) and not math.isfinite(value):
         return f"must be finite, not {value}"
     if arg.choices and value not in arg.choices:
@@ -58,7 +49,7 @@ def describe_arg(arg: Arg) -> str:
     """The values that the argument takes: ``a number from 0.5 to 9.9 s``."""
     if arg.choices:
         return f"one of {', '.join(shorten(choice) for choice in arg.choices)}"
-    words = [_WORDS.get(arg.type, "a value")]
+    words = [_KINDS[arg.type][0] if arg.type in _KINDS else "a value"]
     if arg.minimum is not None and arg.maximum is not None:
         words.append(f"from {arg.minimum:g} to {arg.maximum:g}")
     elif arg.minimum is not None:
@@ -84,7 +75,7 @@ def shorten(value: Any) -> str:
 def _is_kind(kind: str, value: Any) -> bool:
     if isinstance(value, bool):
         return kind == "bool"
-    return isinstance(value, _KINDS[kind])
+    return isinstance(value, _KINDS[kind][1])
 
 
 def _explain_out_of_range(arg: Arg, value: float) -> str:

@@ -30,6 +30,7 @@ from labos.core.ids import (
 from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.lab import StationsApplied, WorkcellApplied
 from labos.core.labware import (
+    GONE,
     BarcodeRead,
     LabwareChanged,
     LabwareHandedOver,
@@ -172,8 +173,7 @@ def remove_labware(
     labware = bench.labware.get(name)
     events: list[Event] = []
     if labware is not None and labware.lid and not bench.is_lid_in_doubt(labware):
-        nowhere = StationName("")
-        events.append(LabwareRemoved(labware.lid, run, nowhere, f"{why}, on {name}", action))
+        events.append(LabwareRemoved(labware.lid, run, GONE, f"{why}, on {name}", action))
     return [*events, LabwareRemoved(name, run, where, why, action)]
 
 

@@ -175,48 +175,22 @@ def check_gap(
     others = list_bookings_of_others(state, user, module, clears=clears)
     if not others:
         return None
-    own = _list_own(state, user, module)
-    key = tuple(_make_key(booking) for booking in others), tuple(_make_key(booking) for booking in own)
-    if any(
-        ends - max(begins, now) >= length
-        for begins, ends in _list_gaps(key, _Unhashed(others, own), now // DAY_NS)
-    ):
+    gaps = _list_gaps(tuple(others), tuple(_list_own(state, user, module)), now // DAY_NS)
+    if any(ends - max(begins, now) >= length for begins, ends in gaps):
         return None
     minutes = -(-length // 60_000_000_000)
     reason = reasons.NoGap(module, f"{minutes} min", str(HORIZON_DAYS), ", ".join(b.id for b in others))
     return Wait(reason, (booking_key(workcell_of(module)),), now + DAY_NS)
 
 
-_Key = tuple[str, int, int, str, str, int, tuple[int, ...], int, bool]
-
-
-def _make_key(booking: Booking) -> _Key:
-    """The data that determine the times of a booking."""
-    times = (booking.id, booking.begins, booking.ends, booking.rule, booking.zone, booking.last)
-    return (*times, booking.skipped, booking.made, booking.maintenance)
-
-
-class _Unhashed:
-    """Data that a function with a cache reads, but that its answers do not depend on."""
-
-    def __init__(self, others: list[Booking], own: list[Booking]) -> None:
-        self.others, self.own = others, own
-
-    def __eq__(self, other: object) -> bool:
-        return True
-
-    def __hash__(self) -> int:
-        return 0
-
-
 @lru_cache(maxsize=4096)
 def _list_gaps(
-    key: tuple[tuple[_Key, ...], tuple[_Key, ...]], bookings: _Unhashed, day: int
+    others: tuple[Booking, ...], own: tuple[Booking, ...], day: int
 ) -> tuple[tuple[int, int], ...]:
     """The times between bookings (UTC ns) of the days to come, today included."""
     time, end = day * DAY_NS, (day + HORIZON_DAYS + 1) * DAY_NS
     found: list[tuple[int, int]] = []
-    for span in _list_spans(bookings.others, bookings.own, time, end):
+    for span in _list_spans(others, own, time, end):
         if span.begins > time:
             found.append((time, span.begins))
         time = max(time, span.ends)

@@ -6,7 +6,7 @@ when a program checks the time, or on the time zones of a computer.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -33,7 +33,8 @@ class BookingEvent(Event, frozen=True):
 class BookingTerms(BookingEvent, frozen=True):
     """A module or a workcell (``target``) is booked from ``begins`` to ``ends`` (UTC ns). The booking is for
     a ``user``, for a ``group``, or for ``maintenance``. With a ``rule`` it is repeated by the clock of the
-    time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end)."""
+    time zone ``zone``, at the latest at ``last`` (UTC ns; 0: without end). ``over`` lists the bookings that
+    it overrides."""
 
     target: str
     begins: int
@@ -46,20 +47,17 @@ class BookingTerms(BookingEvent, frozen=True):
     zone: str = "UTC"
     rule: str = ""
     last: int = 0
+    over: tuple[str, ...] = ()
 
 
 @event("booking.made")
 class BookingMade(BookingTerms, frozen=True):
     """A user booked a module or a workcell. ``over`` lists the bookings that it overrides."""
 
-    over: tuple[str, ...] = ()
-
 
 @event("booking.changed")
 class BookingChanged(BookingTerms, frozen=True):
     """A booking has another time or another owner. The event holds the whole booking."""
-
-    over: tuple[str, ...] = ()
 
 
 @event("booking.cancelled")
@@ -111,31 +109,23 @@ class BookingSpan(msgspec.Struct, frozen=True, order=True):
     booking: str
 
 
-class Booking(msgspec.Struct):
+class Booking(BookingTerms, frozen=True):
     """``made`` counts all bookings and changes: of two that overlap, the one with the higher count is valid.
     ``made_at`` is the time of its last change. ``skipped`` are the begins of times that are left out. Its
     times up to ``handled`` are over. ``neared`` and ``began`` are the begins of the next time and of the
     present time (0: none); ``until`` is the end of the present time. All times are in UTC ns."""
 
-    id: str
-    target: str
-    begins: int
-    ends: int
-    by: str
-    user: str
-    group: str
-    maintenance: bool
-    why: str
-    zone: str
-    rule: str
-    last: int
-    made: int
+    made: int = 0
     made_at: int = 0
     skipped: tuple[int, ...] = ()
     handled: int = 0
     neared: int = 0
     began: int = 0
     until: int = 0
+
+    @property
+    def id(self) -> str:
+        return self.booking
 
     @property
     def cell(self) -> str:
@@ -236,11 +226,8 @@ def fold_booking_made(bookings: Bookings, event: BookingMade, at: int) -> None:
 def fold_booking_changed(bookings: Bookings, event: BookingChanged, at: int) -> None:
     before = bookings.open[event.booking]
     _drop(bookings, event.booking)
-    _write(bookings, event, at)
-    after = bookings.open[event.booking]
-    if (before.rule, before.begins, before.zone) == (after.rule, after.begins, after.zone):
-        after.skipped = before.skipped
-    after.handled = before.handled
+    is_same = (before.rule, before.begins, before.zone) == (event.rule, event.begins, event.zone)
+    _write(bookings, event, at, skipped=before.skipped if is_same else (), handled=before.handled)
 
 
 def fold_booking_cancelled(bookings: Bookings, event: BookingCancelled, at: int) -> None:
@@ -248,23 +235,20 @@ def fold_booking_cancelled(bookings: Bookings, event: BookingCancelled, at: int)
 
 
 def fold_booking_skipped(bookings: Bookings, event: BookingSkipped, at: int) -> None:
-    bookings.events += 1
     booking = bookings.open[event.booking]
-    booking.skipped = (*booking.skipped, event.begins)
+    changes: dict[str, Any] = {"skipped": (*booking.skipped, event.begins)}
     if booking.began == event.begins:
-        booking.began = booking.until = 0
+        changes |= {"began": 0, "until": 0}
         bookings.now.pop(event.booking, None)
+    _change(bookings, event, **changes)
 
 
 def fold_booking_neared(bookings: Bookings, event: BookingNeared, at: int) -> None:
-    bookings.events += 1
-    bookings.open[event.booking].neared = event.begins
+    _change(bookings, event, neared=event.begins)
 
 
 def fold_booking_began(bookings: Bookings, event: BookingBegan, at: int) -> None:
-    bookings.events += 1
-    booking = bookings.open[event.booking]
-    booking.began, booking.until = event.begins, event.ends
+    _change(bookings, event, began=event.begins, until=event.ends)
     bookings.now[event.booking] = True
 
 
@@ -272,18 +256,20 @@ def fold_booking_ended(bookings: Bookings, event: BookingEnded, at: int) -> None
     if event.over:
         _drop(bookings, event.booking)
         return
-    booking = bookings.open[event.booking]
-    booking.began = booking.until = 0
-    booking.handled = event.ends
-    bookings.events += 1
+    _change(bookings, event, began=0, until=0, handled=event.ends)
     bookings.now.pop(event.booking, None)
 
 
-def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int) -> None:
+def _write(bookings: Bookings, event: BookingMade | BookingChanged, at: int, **known: Any) -> None:
     bookings.made += 1
     bookings.events += 1
-    bookings.open[event.booking] = make_from(Booking, event, id=event.booking, made=bookings.made, made_at=at)
+    bookings.open[event.booking] = make_from(Booking, event, made=bookings.made, made_at=at, **known)
     bookings.on.setdefault(event.target, {})[event.booking] = True
+
+
+def _change(bookings: Bookings, event: BookingEvent, **changes: Any) -> None:
+    bookings.events += 1
+    bookings.open[event.booking] = msgspec.structs.replace(bookings.open[event.booking], **changes)
 
 
 def _drop(bookings: Bookings, name: str) -> None:

@@ -7,7 +7,8 @@ nobody knows in advance which way a run will take.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import heapq
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -129,6 +130,39 @@ def is_inert(plan: Plan, index: int) -> bool:
     changes = (Move, Take, Sets, Claims, Releases)
     held = any(index in (hold.first, hold.last) for hold in plan.holds)
     return not held and not any(isinstance(effect, changes) for effect in plan.steps[index].effects)
+
+
+def sort_by_predecessors(before: Mapping[int, Iterable[int]]) -> list[int]:
+    """Steps in an order in which each stands behind those ``before`` it; what may be first is in the order of
+    the plan. Those that wait for one another, and all behind them, are left out."""
+    followers: dict[int, list[int]] = {index: [] for index in before}
+    waiting = dict.fromkeys(before, 0)
+    for index, steps in before.items():
+        for step in steps:
+            followers[step].append(index)
+            waiting[index] += 1
+    ready = [index for index, count in waiting.items() if not count]
+    heapq.heapify(ready)
+    order: list[int] = []
+    while ready:
+        order.append(heapq.heappop(ready))
+        for follower in followers[order[-1]]:
+            waiting[follower] -= 1
+            if not waiting[follower]:
+                heapq.heappush(ready, follower)
+    return order
+
+
+def list_all_before(before: Callable[[int], Iterable[int]], index: int) -> set[int]:
+    """All steps that stand before one, directly or not; ``before`` says which do so directly."""
+    found: set[int] = set()
+    open_ = [*before(index)]
+    while open_:
+        step = open_.pop()
+        if step not in found:
+            found.add(step)
+            open_ += before(step)
+    return found
 
 
 def sort_steps(plan: Plan, steps: Iterable[int]) -> Sequence[int]:

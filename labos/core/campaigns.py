@@ -145,24 +145,21 @@ class CampaignCompleted(CampaignEvent, frozen=True):
     why: str = ""
 
 
-@event("campaign.archived")
-class CampaignArchived(Event, frozen=True):
-    """A campaign that has ended is hidden from lists."""
-
+class ArchiveEvent(Event, frozen=True):
     campaign: CampaignId
 
     def stream(self) -> str:
         return ARCHIVE
+
+
+@event("campaign.archived")
+class CampaignArchived(ArchiveEvent, frozen=True):
+    """A campaign that has ended is hidden from lists."""
 
 
 @event("campaign.unarchived")
-class CampaignUnarchived(Event, frozen=True):
+class CampaignUnarchived(ArchiveEvent, frozen=True):
     """An archived campaign is shown in lists again."""
-
-    campaign: CampaignId
-
-    def stream(self) -> str:
-        return ARCHIVE
 
 
 class CampaignStatus(StrEnum):
@@ -225,11 +222,6 @@ class Campaign(msgspec.Struct):
     def is_ended(self) -> bool:
         """Whether no further row will be submitted, by its own rules or because a person ended it."""
         return self.status in (CampaignStatus.STOPPED, CampaignStatus.CANCELLED)
-
-    @property
-    def takes_rows(self) -> bool:
-        """Whether a further row may be submitted now."""
-        return self.room > 0
 
     @property
     def room(self) -> int:
@@ -305,14 +297,23 @@ def fold_campaign_submitted(campaigns: Campaigns, event: CampaignSubmitted, at: 
         )
 
 
-def fold_campaign_paused(campaigns: Campaigns, event: CampaignPaused, at: int) -> None:
-    campaign = campaigns.open[event.campaign]
-    campaign.status, campaign.why = CampaignStatus.PAUSED, event.why
+_STATUS: dict[type[Event], CampaignStatus] = {
+    CampaignPaused: CampaignStatus.PAUSED,
+    CampaignResumed: CampaignStatus.OPEN,
+    CampaignStopped: CampaignStatus.STOPPED,
+    CampaignCancelled: CampaignStatus.CANCELLED,
+}
 
 
-def fold_campaign_resumed(campaigns: Campaigns, event: CampaignResumed, at: int) -> None:
+def fold_campaign_status(
+    campaigns: Campaigns,
+    event: CampaignPaused | CampaignResumed | CampaignStopped | CampaignCancelled,
+    at: int,
+) -> None:
     campaign = campaigns.open[event.campaign]
-    campaign.status, campaign.why = CampaignStatus.OPEN, ""
+    campaign.status = _STATUS[type(event)]
+    campaign.why = "" if isinstance(event, CampaignResumed) else event.why
+    note_due(campaigns, campaign)
 
 
 def fold_campaign_amended(campaigns: Campaigns, event: CampaignAmended, at: int) -> None:
@@ -328,32 +329,14 @@ def fold_campaign_row_refused(campaigns: Campaigns, event: CampaignRowRefused, a
     note_due(campaigns, campaign)
 
 
-def fold_campaign_stopped(campaigns: Campaigns, event: CampaignStopped, at: int) -> None:
-    _close(campaigns, event, CampaignStatus.STOPPED)
-
-
-def fold_campaign_cancelled(campaigns: Campaigns, event: CampaignCancelled, at: int) -> None:
-    _close(campaigns, event, CampaignStatus.CANCELLED)
-
-
-def _close(campaigns: Campaigns, event: CampaignStopped | CampaignCancelled, status: CampaignStatus) -> None:
-    campaign = campaigns.open[event.campaign]
-    campaign.status, campaign.why = status, event.why
-    note_due(campaigns, campaign)
-
-
 def fold_campaign_completed(campaigns: Campaigns, event: CampaignCompleted, at: int) -> None:
     campaign = campaigns.open.pop(event.campaign)
     campaigns.due.pop(event.campaign, None)
     campaigns.ended[event.campaign] = EndedCampaign(campaign.user, campaign.workcell)
 
 
-def fold_campaign_archived(campaigns: Campaigns, event: CampaignArchived, at: int) -> None:
-    campaigns.ended[event.campaign].archived = True
-
-
-def fold_campaign_unarchived(campaigns: Campaigns, event: CampaignUnarchived, at: int) -> None:
-    campaigns.ended[event.campaign].archived = False
+def fold_archive(campaigns: Campaigns, event: CampaignArchived | CampaignUnarchived, at: int) -> None:
+    campaigns.ended[event.campaign].archived = isinstance(event, CampaignArchived)
 
 
 def fold_run_submitted(campaigns: Campaigns, event: RunSubmitted, at: int) -> None:
@@ -423,10 +406,7 @@ def fold_action_ended(campaigns: Campaigns, event: ActionEnd, at: int) -> None:
         return
     if began is not None:
         campaign.spent_ns += (at - began) // parts
-    is_done = isinstance(event, ActionSucceeded) or (
-        isinstance(event, ActionReconciled) and event.effects == "all"
-    )
-    if is_done and isinstance(event, ActionSucceeded | ActionReconciled):
+    if isinstance(event, ActionSucceeded) or (isinstance(event, ActionReconciled) and event.effects == "all"):
         for key, step in campaign.reads.get(event.run, {}).items():
             if step == event.step:
                 campaign.results.setdefault(event.run, {})[key] = event.result

@@ -8,11 +8,13 @@ verification.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
 from labos.core.canonical import digest
 from labos.core.words import Kept
+from labos.errors import LogDamaged
 
 GENESIS = bytes(32)
 """The hash before position 1."""
@@ -77,6 +79,22 @@ class Folded(msgspec.Struct, frozen=True, gc=False):
 
 decode_folded = msgspec.json.Decoder(Folded).decode
 """Decodes only the folded part of an envelope, which is much faster than the whole."""
+
+
+def check_chain(
+    records: Iterable[Record],
+    before: bytes = GENESIS,
+    after: int = 0,
+    remedy: str = "The records before it can be trusted.",
+) -> Iterator[Record]:
+    """The same records, as long as each follows the one before in the chain; the first one follows the
+    position ``after``, where the hash is ``before``. Raises LogDamaged."""
+    for position, record in enumerate(records, after + 1):
+        missing = record.head.position != position
+        if fault := "the record is missing" if missing else find_damage(before, record):
+            raise LogDamaged(f"Position {position}: {fault}.", position=position, remedy=remedy)
+        before = record.hash
+        yield record
 
 
 def find_damage(previous_hash: bytes, record: Record) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.registry import TYPES, Event, event
+from labos.core.registry import TYPES, Event, decode, event
+from labos.core.structs import make_from
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 
 REASONS = {
@@ -64,6 +65,12 @@ class WordsErased(ErasureEvent, frozen=True):
         return [f"{PREFIX}{digest}" for digest in self.digests]
 
 
+def list_erased(kind: str, schema: int, payload: bytes) -> list[str]:
+    """The references to words that a stored event erased."""
+    event = decode(kind, schema, payload) if kind == WordsErased.TYPE else None
+    return event.references() if isinstance(event, WordsErased) else []
+
+
 def list_references_in_words(kind: str, payload: bytes) -> list[str]:
     """The references in those fields of a stored event that hold people's words. A name or a value is never a
     reference, even if it looks like one."""
@@ -75,14 +82,10 @@ def list_references_in_words(kind: str, payload: bytes) -> list[str]:
     return list_references("\n".join(text for text in words if isinstance(text, str)).encode())
 
 
-class Erasure(msgspec.Struct):
+class Erasure(ErasureAsked, frozen=True):
     """An erasure that waits for a second person since ``asked_at`` (UTC ns)."""
 
-    because: str
-    by: str
-    records: tuple[int, ...]
-    user: str
-    asked_at: int
+    asked_at: int = 0
 
 
 class Erasures(msgspec.Struct):
@@ -98,7 +101,7 @@ class Erasures(msgspec.Struct):
 
 def fold_asked(erasures: Erasures, event: ErasureAsked, at: int) -> None:
     erasures.asked += 1
-    erasures.open[event.erasure] = Erasure(event.because, event.by, event.records, event.user, at)
+    erasures.open[event.erasure] = make_from(Erasure, event, asked_at=at)
 
 
 def fold_ended(erasures: Erasures, event: ErasureRefused | WordsErased, at: int) -> None:

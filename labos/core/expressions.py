@@ -286,9 +286,8 @@ def _evaluate_tree(tree: Tree, tables: Mapping[str, Any]) -> Any:
 def _evaluate_row(signs: tuple[str, ...], parts: tuple[Tree, ...], tables: Mapping[str, Any]) -> Any:
     if signs[0] in ("and", "or"):
         stop = signs[0] == "or"
-        return (
-            stop if any(_expect_truth(_evaluate_tree(part, tables)) is stop for part in parts) else not stop
-        )
+        stops = any(_expect_truth(_evaluate_tree(part, tables)) is stop for part in parts)
+        return stop if stops else not stop
     found = _expect_number(_evaluate_tree(parts[0], tables))
     for sign, part in zip(signs, parts[1:], strict=True):
         right = _expect_number(_evaluate_tree(part, tables))

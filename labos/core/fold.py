@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from typing import Any, get_type_hints
 
 from labos.core import (
@@ -34,7 +34,7 @@ from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
 from labos.core.labware import LabwareRemoved
-from labos.core.registry import TYPES, Event, list_handlers
+from labos.core.registry import TYPES, Event, decode, list_handlers
 from labos.core.runs import RunCancelled, RunCompleted, RunFailed, RunSubmitted
 from labos.core.state import LabState
 
@@ -122,6 +122,13 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
     elif kind in (InterventionResolved, BookingCancelled) or getattr(event, "over", None) is True:
         del versions[stream]
     state.position, state.recorded_at = position, recorded_at
+
+
+def fold_rows(state: LabState, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Apply stored events: (position, type, schema, recorded_at, payload) of each. Raises the errors of
+    ``decode`` and ``evolve``; then the state is at the position before the faulty event."""
+    for position, kind, schema, recorded_at, payload in rows:
+        evolve(state, decode(kind, schema, payload), position, recorded_at)
 
 
 def evolve_slices(

@@ -94,7 +94,21 @@ def workcell_of(name: ModuleName | StationName) -> str:
 
 def module_of(station: StationName) -> ModuleName:
     """The module that gives a station its name; empty if none does."""
-    return ModuleName(station.rpartition(".")[0])
+    return ModuleName(split_place(station)[0])
+
+
+def split_place(name: str) -> tuple[str, str]:
+    """The module in a station's name, and the name that it has there: ``module.station``. Without a point
+    there is no module."""
+    module, _, station = name.rpartition(".")
+    return module, station
+
+
+def split_written_place(text: str) -> tuple[str, str]:
+    """The module with which a written place begins, and the rest: ``module.positions.station``. Without a
+    point there is no rest."""
+    module, _, rest = text.partition(".")
+    return module, rest
 
 
 def local(name: str) -> str:

@@ -12,15 +12,22 @@ from labos.core.topics import AnyTopic, Choice, Topic
 from labos.core.words import Words
 
 
+class InterventionEvent(Event, frozen=True):
+    intervention: InterventionId
+
+    def stream(self) -> str:
+        """The stream of the run that it names, if it names one; otherwise its own."""
+        return getattr(self, "run", "") or f"intervention:{self.intervention}"
+
+
 @event("intervention.requested", schema=2)
-class InterventionRequested(Event, frozen=True):
+class InterventionRequested(InterventionEvent, frozen=True):
     """LabOS asks a person. ``topic`` is the subject with its details (null: of a kind that is no longer
     used). ``kind``, ``subject``, ``labware`` and ``motions`` repeat it in fields that all kinds share.
     ``kind`` is its name, ``subject`` the id of its subject, and ``labware`` the labware that an answer may
     remove. ``motions`` are the moves and takes of unknown outcome, or the reading that contradicts the log.
     ``due_at`` is the time by which planned work should be done (UTC ns; 0: no time)."""
 
-    intervention: InterventionId
     kind: str
     subject: str
     text: str
@@ -32,51 +39,35 @@ class InterventionRequested(Event, frozen=True):
     due_at: int = 0
     topic: AnyTopic | None = None
 
-    def stream(self) -> str:
-        return self.run or f"intervention:{self.intervention}"
-
 
 @event("intervention.resolved")
-class InterventionResolved(Event, frozen=True):
+class InterventionResolved(InterventionEvent, frozen=True):
     """A person answered with ``choice``. It is ``withdrawn`` if the question was resolved without an
     answer."""
 
-    intervention: InterventionId
     choice: str
     by: str
     note: Words = ""
 
-    def stream(self) -> str:
-        return f"intervention:{self.intervention}"
-
 
 @event("intervention.overdue")
-class InterventionOverdue(Event, frozen=True):
+class InterventionOverdue(InterventionEvent, frozen=True):
     """A person did not confirm planned work by the time ``due_at`` (UTC ns). Nothing fails because of
     this."""
 
-    intervention: InterventionId
     run: str
     due_at: int
 
-    def stream(self) -> str:
-        return self.run or f"intervention:{self.intervention}"
 
+class Intervention(InterventionRequested, frozen=True):
+    """A question that waits for an answer since ``requested_at`` (UTC ns)."""
 
-class Intervention(msgspec.Struct):
-    id: InterventionId
-    kind: str
-    subject: str
-    text: str
-    choices: tuple[Choice, ...]
-    run: str
-    module: str
-    labware: tuple[LabwareId, ...]
-    motions: tuple[AnyEffect, ...]
-    requested_at: int
-    due_at: int = 0
+    requested_at: int = 0
     overdue: bool = False
-    topic: AnyTopic | None = None
+
+    @property
+    def id(self) -> InterventionId:
+        return self.intervention
 
     def withdraw(self, why: str) -> InterventionResolved:
         """The question is resolved without an answer."""
@@ -99,18 +90,16 @@ class Interventions(msgspec.Struct):
 
     def ask(self, topic: AnyTopic, text: str, due_at: int = 0) -> InterventionRequested:
         """The next question. ``text`` is for people."""
-        return InterventionRequested(
-            self.next_id,
-            topic.KIND,
-            topic.subject,
-            text,
-            topic.choices,
-            topic.run,
-            topic.module,
-            topic.pieces,
-            topic.evidence,
-            due_at,
+        return make_from(
+            InterventionRequested,
             topic,
+            intervention=self.next_id,
+            kind=topic.KIND,
+            text=text,
+            labware=topic.pieces,
+            motions=topic.evidence,
+            due_at=due_at,
+            topic=topic,
         )
 
     def open_about(self, *topics: type[Topic]) -> list[Intervention]:
@@ -118,7 +107,7 @@ class Interventions(msgspec.Struct):
         return [question for question in self.open.values() if isinstance(question.topic, topics)]
 
     def find_about(self, subject: str) -> Intervention | None:
-        return next((self.open[name] for name in self.by_subject.get(subject, ())), None)
+        return next(iter(self.list_about(subject)), None)
 
     def list_about(self, subject: str) -> list[Intervention]:
         """The open questions about a subject, oldest first."""
@@ -133,9 +122,7 @@ def fold_intervention_requested(interventions: Interventions, event: Interventio
     if event.intervention in interventions.open:
         raise ValueError(f"{event.intervention} is open already")
     interventions.named += 1
-    interventions.open[event.intervention] = make_from(
-        Intervention, event, id=event.intervention, requested_at=at
-    )
+    interventions.open[event.intervention] = make_from(Intervention, event, requested_at=at)
     interventions.by_subject.setdefault(event.subject, {})[event.intervention] = True
     if event.run:
         interventions.by_run.setdefault(event.run, {})[event.intervention] = True
@@ -151,4 +138,5 @@ def fold_intervention_resolved(interventions: Interventions, event: Intervention
 
 
 def fold_intervention_overdue(interventions: Interventions, event: InterventionOverdue, at: int) -> None:
-    interventions.open[event.intervention].overdue = True
+    question = interventions.open[event.intervention]
+    interventions.open[event.intervention] = msgspec.structs.replace(question, overdue=True)

@@ -8,6 +8,7 @@ from labos.core.experiments import ExperimentEnded
 from labos.core.ids import LabId, StationName
 from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, TransferWay
 from labos.core.registry import Event, event
+from labos.core.structs import make_from
 from labos.core.words import Words
 
 
@@ -104,21 +105,16 @@ class StartsResumed(StartsEvent, frozen=True):
     by: str
 
 
-class Pause(msgspec.Struct):
+class Pause(StartsPaused, frozen=True):
     """A user who stopped all starts of a target, and when (UTC ns)."""
 
-    by: str
-    why: str
-    since: int
+    since: int = 0
 
 
-class Access(msgspec.Struct):
-    """A person who has access to a workcell, or waits for it."""
+class Access(AccessRequested, frozen=True):
+    """A person who has access to a workcell, or waits for it since ``asked_at`` (UTC ns)."""
 
-    by: str
-    why: str
-    parking: tuple[str, ...]
-    asked_at: int
+    asked_at: int = 0
     granted: bool = False
 
 
@@ -154,11 +150,11 @@ def fold_workcell_applied(lab: Lab, event: WorkcellApplied, at: int) -> None:
 
 
 def fold_access_requested(lab: Lab, event: AccessRequested, at: int) -> None:
-    lab.access[event.name] = Access(event.by, event.why, event.parking, at)
+    lab.access[event.name] = make_from(Access, event, asked_at=at)
 
 
 def fold_access_granted(lab: Lab, event: AccessGranted, at: int) -> None:
-    lab.access[event.name].granted = True
+    lab.access[event.name] = msgspec.structs.replace(lab.access[event.name], granted=True)
 
 
 def fold_access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
@@ -166,7 +162,7 @@ def fold_access_ended(lab: Lab, event: AccessEnded, at: int) -> None:
 
 
 def fold_starts_paused(lab: Lab, event: StartsPaused, at: int) -> None:
-    lab.paused[event.target] = Pause(event.by, event.why, at)
+    lab.paused[event.target] = make_from(Pause, event, since=at)
 
 
 def fold_starts_resumed(lab: Lab, event: StartsResumed, at: int) -> None:

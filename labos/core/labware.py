@@ -10,6 +10,9 @@ from labos.core.ids import LabwareId, ModuleName, Owner, RunId, StationName
 from labos.core.registry import Event, event
 from labos.core.words import Words
 
+GONE = StationName("")
+"""The place of labware that is off the bench."""
+
 
 class LabwareEvent(Event, frozen=True):
     """``run`` is the run to which the event belongs, if any."""

@@ -166,14 +166,6 @@ class Taught(msgspec.Struct):
     proven: bool = False
 
 
-class TaughtStation(msgspec.Struct, omit_defaults=True):
-    """The taught poses of a manipulator for a station: the pose for any labware, and the different poses for
-    some types."""
-
-    any_type: Taught | None = None
-    by_type: dict[str, Taught] = {}
-
-
 def describe_stop(name: str) -> str:
     """The error of a module that was stopped in an emergency."""
     return f"Stopped in an emergency{f' by {name}' if name else ''}; reset the module to go on."
@@ -233,7 +225,8 @@ class Module(msgspec.Struct):
     person who does planned work. ``gone_at`` is the time since which its node is GONE (UTC ns). ``cut_off``:
     the node went away during an action, so the position of the device is unknown. ``error_at`` is the time
     since which it reports ERROR (UTC ns). ``asked``: a person was asked about an action that stands still
-    because of this. ``calibrations`` are the last ones, by what was calibrated. ``set_up_for`` is the value
+    because of this. ``taught`` are the poses for stations, by labware type (empty: for any labware).
+    ``calibrations`` are the last ones, by what was calibrated. ``set_up_for`` is the value
     for which it is set up, or being set up, if its set-ups take time; None if the value is unknown."""
 
     spec: ModuleSpec
@@ -252,7 +245,7 @@ class Module(msgspec.Struct):
     in_flight: dict[ActionId, Flight] = {}
     setpoints: dict[str, Setpoint] = {}
     reached: tuple[StationName, ...] = ()
-    taught: dict[StationName, TaughtStation] = {}
+    taught: dict[StationName, dict[str, Taught]] = {}
     calibrations: dict[str, Calibration] = {}
     doubted: bool = False
     watched: ActionId = ActionId("")
@@ -297,33 +290,25 @@ class Module(msgspec.Struct):
 
     def list_poses(self) -> dict[str, list[float]]:
         """Taught poses for any labware, by the stations' local names."""
-        own = {station: lessons.any_type for station, lessons in self.taught.items()}
-        return {local(station): list(taught.pose) for station, taught in own.items() if taught is not None}
+        return {local(name): list(poses[""].pose) for name, poses in self.taught.items() if "" in poses}
 
     def list_poses_by_type(self) -> dict[str, dict[str, list[float]]]:
         """Taught poses for single labware types, by type and by the stations' local names."""
         found = {kind: dict(poses) for kind, poses in self.spec.config.get("poses_of", {}).items()}
-        for station, lessons in self.taught.items():
-            for kind, taught in lessons.by_type.items():
-                found.setdefault(kind, {})[local(station)] = list(taught.pose)
+        for station, by_type in self.taught.items():
+            for kind, taught in by_type.items():
+                if kind:
+                    found.setdefault(kind, {})[local(station)] = list(taught.pose)
         return found
 
     def find_taught(self, station: StationName, labware_type: str = "") -> Taught | None:
         """The pose for exactly this station and type that was taught since the workcell file."""
-        lessons = self.taught.get(station)
-        if lessons is None:
-            return None
-        return lessons.by_type.get(labware_type) if labware_type else lessons.any_type
+        return self.taught.get(station, {}).get(labware_type)
 
     @property
     def busy(self) -> bool:
         """Whether an exclusive action is in flight."""
         return any(flight.exclusive for flight in self.in_flight.values())
-
-    @property
-    def at_rest(self) -> bool:
-        """Whether doors and lids are in the positions at which others may use the module."""
-        return all(self.find_value(name) == value for name, value in self.spec.rest.items())
 
 
 class Modules(msgspec.Struct):
@@ -477,12 +462,8 @@ def fold_action_ended(modules: Modules, event: ActionEnd, at: int) -> None:
 
 def fold_location_taught(modules: Modules, event: LocationTaught, at: int) -> None:
     module = modules.by_name[event.module]
-    taught = Taught(event.pose, event.version)
-    lessons = module.taught.setdefault(event.station, TaughtStation())
-    if event.labware_type:
-        lessons.by_type[event.labware_type] = taught
-    else:
-        lessons.any_type = taught
+    poses = module.taught.setdefault(event.station, {})
+    poses[event.labware_type] = Taught(event.pose, event.version)
     for flight in module.in_flight.values():
         flight.proving = ()  # the action under way tries the pose first
 

@@ -65,13 +65,12 @@ def fold_experiment_started(experiments: Experiments, event: ExperimentStarted, 
     experiments.open[event.experiment] = make_from(Experiment, event, id=event.experiment, started_at=at)
 
 
-def fold_experiment_cancelled(experiments: Experiments, event: ExperimentCancelled, at: int) -> None:
-    experiments.open[event.experiment].status = ExperimentStatus.CANCELLED
-    experiments.ending[event.experiment] = True
-
-
-def fold_experiment_closing(experiments: Experiments, event: ExperimentClosing, at: int) -> None:
-    experiments.open[event.experiment].status = ExperimentStatus.CLOSING
+def fold_experiment_ending(
+    experiments: Experiments, event: ExperimentCancelled | ExperimentClosing, at: int
+) -> None:
+    closes = isinstance(event, ExperimentClosing)
+    status = ExperimentStatus.CLOSING if closes else ExperimentStatus.CANCELLED
+    experiments.open[event.experiment].status = status
     experiments.ending[event.experiment] = True
 
 

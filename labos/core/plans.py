@@ -66,6 +66,17 @@ class PlanState(msgspec.Struct):
     def complete(self) -> bool:
         return len(self.plan.steps) == self.expected
 
+    def add(self, more: tuple[PlanStep, ...]) -> None:
+        """Add the next steps."""
+        steps = (*self.plan.steps, *_share_effects(more))
+        self.plan = msgspec.structs.replace(self.plan, steps=steps)
+        if self.complete:
+            self.starts = tuple(i for i, step in enumerate(steps) if not step.after and step.part == MAIN)
+            self.windowed = tuple(i for i, step in enumerate(steps) if step.windows)
+            self.uses_up = list_used_up(steps)
+            self.dangers = tuple(i for i, step in enumerate(steps) if step.dangerous)
+            self.conditional = tuple(i for i, step in enumerate(steps) if step.when is not None)
+
 
 Plans = dict[str, PlanState]
 
@@ -104,24 +115,6 @@ def _share_effects(steps: tuple[PlanStep, ...]) -> tuple[PlanStep, ...]:
 
 def _share_effects_of_step(step: PlanStep) -> PlanStep:
     return msgspec.structs.replace(step, effects=_share_equal(step.effects))
-
-
-def plan_recorded(plans: Plans, event: PlanRecorded) -> None:
-    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
-    plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
-
-
-def plan_steps_recorded(plans: Plans, event: PlanStepsRecorded) -> None:
-    state = plans[event.plan]
-    state.plan = msgspec.structs.replace(state.plan, steps=(*state.plan.steps, *_share_effects(event.steps)))
-    if state.complete:
-        state.starts = tuple(
-            i for i, step in enumerate(state.plan.steps) if not step.after and step.part == MAIN
-        )
-        state.windowed = tuple(i for i, step in enumerate(state.plan.steps) if step.windows)
-        state.uses_up = list_used_up(state.plan.steps)
-        state.dangers = tuple(i for i, step in enumerate(state.plan.steps) if step.dangerous)
-        state.conditional = tuple(i for i, step in enumerate(state.plan.steps) if step.when is not None)
 
 
 def release_plan(plans: Plans, digest: str) -> None:

@@ -6,9 +6,8 @@ from collections.abc import Collection
 from typing import NamedTuple
 
 from labos.core import reasons
-from labos.core.ids import RunId
 from labos.core.model import MAIN, PlanStep
-from labos.core.resources import list_used_up
+from labos.core.resources import list_used_up, sum_consumption
 from labos.core.runs import RunState, RunStatus, StepStatus
 from labos.core.shares import DAY_NS
 from labos.core.state import LabState
@@ -56,11 +55,7 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
             what = f"{quota.lab_hours:g} lab hours a week"
             return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
         for kind, most in quota.consumables.items():
-            needed = sum(
-                amount
-                for index, _, resource, amount in list_used_up(state.runs.plan_of(run).steps)
-                if resource == kind and state.runs.plan_of(run).steps[index].part == MAIN
-            )
+            needed = sum_consumption(state.runs.plan_of(run)).get(kind, 0.0)
             if needed and had.week.count_used(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
                 return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None
@@ -83,9 +78,10 @@ def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> _Plan
     """A step under way counts with its planned duration, or with its real duration so far if that is
     longer."""
     seconds, amounts = 0.0, dict[str, float]()
-    lasted: dict[tuple[RunId, int], float] = {}
-    for action in state.actions.open.values():
-        lasted[action.run, action.step] = (now - action.requested_at) * state.lab.pace / 1e9
+    lasted = {
+        (action.run, action.step): (now - action.requested_at) * state.lab.pace / 1e9
+        for action in state.actions.open.values()
+    }
     for name in state.shares.started:
         run = state.runs.active.get(name)
         if run is None or run.user not in users:

@@ -8,7 +8,7 @@ import msgspec
 
 from labos.core.effects import AnyEffect, Consumes, Replaces
 from labos.core.ids import ModuleName, RunId, level_key
-from labos.core.model import PlanStep
+from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.modules import ModuleEvent
 from labos.core.registry import event
 
@@ -98,6 +98,15 @@ def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str,
                 used.append((index, step.module, resource, sum_needed(step.effects, resource)))
         fresh.update((e.module, e.resource) for e in step.effects if isinstance(e, Replaces))
     return tuple(used)
+
+
+def sum_consumption(plan: Plan) -> dict[str, float]:
+    """The consumption of a plan without failures, by kind."""
+    found: dict[str, float] = {}
+    for index, _, resource, amount in list_used_up(plan.steps):
+        if plan.steps[index].part == MAIN:
+            found[resource] = found.get(resource, 0.0) + amount
+    return found
 
 
 def sum_by_supply(

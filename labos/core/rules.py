@@ -170,9 +170,8 @@ def find_due_time(state: LabState, action: Action) -> int | None:
     """The time at which an action without a result counts as unknown (UTC ns). None if its step has no
     time-out, its device has reported success, or the outcome is unknown already. None also for the work of a
     person: a person who is late is asked again, and knows the outcome."""
-    return (
-        None if action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN) else find_end_by(state, action)
-    )
+    is_known = action.status in (ActionStatus.REPORTED, ActionStatus.UNKNOWN)
+    return None if is_known else find_end_by(state, action)
 
 
 def find_end_by(state: LabState, action: Action) -> int | None:

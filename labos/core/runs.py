@@ -12,15 +12,8 @@ import msgspec
 from labos.core.experiments import ExperimentEnded, ExperimentStarted
 from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId
 from labos.core.interventions import InterventionRequested
-from labos.core.model import MAIN, Plan, PlanStep, Window
-from labos.core.plans import (
-    PlanRecorded,
-    PlanState,
-    PlanStepsRecorded,
-    plan_recorded,
-    plan_steps_recorded,
-    release_plan,
-)
+from labos.core.model import MAIN, Plan, Window
+from labos.core.plans import PlanRecorded, PlanState, PlanStepsRecorded, release_plan
 from labos.core.registry import Event, event
 from labos.core.structs import make_from
 from labos.core.topics import ClosingWaits
@@ -380,11 +373,12 @@ def find_anchor(run: RunState, window: Window) -> int | None:
 
 
 def fold_plan_recorded(runs: Runs, event: PlanRecorded, at: int) -> None:
-    plan_recorded(runs.plans, event)
+    plan = Plan(event.workflow, event.workcell, (), event.feeds, event.files, event.holds)
+    runs.plans[event.plan] = PlanState(plan, event.shape, event.steps, event.by)
 
 
 def fold_plan_steps_recorded(runs: Runs, event: PlanStepsRecorded, at: int) -> None:
-    plan_steps_recorded(runs.plans, event)
+    runs.plans[event.plan].add(event.steps)
 
 
 def fold_run_submitted(runs: Runs, event: RunSubmitted, at: int, position: int) -> None:
@@ -485,21 +479,13 @@ def list_rescue_steps(plan: Plan, step: int) -> list[int]:
     return [index for index, other in enumerate(plan.steps) if other.part == step and index != reset]
 
 
-def fold_run_paused(runs: Runs, event: RunPaused, at: int) -> None:
-    _set_paused(runs, event.run, True)
-
-
-def fold_run_resumed(runs: Runs, event: RunResumed, at: int) -> None:
-    _set_paused(runs, event.run, False)
-
-
-def _set_paused(runs: Runs, name: RunId, value: bool) -> None:
-    run = runs.queued.get(name)
+def fold_run_paused(runs: Runs, event: RunPaused | RunResumed, at: int) -> None:
+    run = runs.queued.get(event.run)
     if run is None:
-        runs.active[name].paused = value
-        return
-    with requeue(runs, run):
-        run.paused = value
+        runs.active[event.run].paused = isinstance(event, RunPaused)
+    else:
+        with requeue(runs, run):
+            run.paused = isinstance(event, RunPaused)
 
 
 @contextmanager
@@ -557,16 +543,13 @@ def _drop_holder(runs: Runs, module: ModuleName, run: RunId) -> None:
 def _remember(runs: Runs, run: RunState) -> None:
     steps = runs.plan_of(run).steps
     past = runs.past.setdefault(run.experiment, {})
-    past[run.id] = EndTimes(run.workflow, _list_ends(steps, run.steps))
+    ends = {p.key: s.ended_at for p, s in zip(steps, run.steps, strict=True) if s.ended_at is not None}
+    past[run.id] = EndTimes(run.workflow, ends)
     if len(past) > PAST_KEPT:
         last = {known.workflow: name for name, known in past.items()}
         name = next((name for name, known in past.items() if last[known.workflow] != name), None)
         if name is not None:
             del past[name]
-
-
-def _list_ends(plan: Sequence[PlanStep], steps: Sequence[StepState]) -> dict[str, int]:
-    return {p.key: s.ended_at for p, s in zip(plan, steps, strict=True) if s.ended_at is not None}
 
 
 def fold_intervention_requested(runs: Runs, event: InterventionRequested, at: int) -> None:

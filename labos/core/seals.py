@@ -29,11 +29,8 @@ def check_seal(document: msgspec.Struct, key: bytes) -> str:
     seal = str(getattr(document, "seal", ""))
     if not seal:
         return "it has no seal"
-    return (
-        ""
-        if hmac.compare_digest(seal, _make_digest(document, key))
-        else "its seal was not made with this key"
-    )
+    is_ours = hmac.compare_digest(seal, _make_digest(document, key))
+    return "" if is_ours else "its seal was not made with this key"
 
 
 def _make_digest(document: msgspec.Struct, key: bytes) -> str:

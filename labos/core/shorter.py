@@ -9,8 +9,8 @@ from __future__ import annotations
 import msgspec
 
 from labos.core.actions import ActionDiscovered
-from labos.core.effects import AnyEffect, Move, Needs, list_places
-from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, workcell_of
+from labos.core.effects import Move, Needs, list_places
+from labos.core.ids import ActionId, LabwareId, StationName, workcell_of
 from labos.core.registry import Event, event
 from labos.core.words import Words
 
@@ -49,16 +49,6 @@ class BenchCompared(Event, frozen=True):
     note: Words = ""
 
 
-class Discovered(msgspec.Struct):
-    """An action that only a node's journal has. ``effects`` is null if the journal does not have its planned
-    effects."""
-
-    module: ModuleName
-    name: str
-    status: str
-    effects: tuple[AnyEffect, ...] | None = None
-
-
 class Shorter(msgspec.Struct):
     """``since`` is the time at which the log was found shorter (UTC ns; 0: it was not). ``known`` is the
     highest known position, ``ended`` the end of this log, and ``evidence`` the sources with their knowledge.
@@ -76,7 +66,7 @@ class Shorter(msgspec.Struct):
     cells: dict[str, bool] = {}
     displaced: dict[LabwareId, bool] = {}
     said: dict[StationName, bool] = {}
-    actions: dict[ActionId, Discovered] = {}
+    actions: dict[ActionId, ActionDiscovered] = {}
     answered: dict[str, str] = {}
 
     def is_touched(self, station: StationName) -> bool:
@@ -97,7 +87,7 @@ def fold_action_discovered(shorter: Shorter, event: ActionDiscovered, at: int) -
     """In logs of earlier versions, actions were discovered without a round."""
     if not shorter.since:
         return
-    shorter.actions[event.action] = Discovered(event.module, event.name, event.status, event.effects)
+    shorter.actions[event.action] = event
     if event.effects is None:
         _doubt_cell(shorter, workcell_of(event.module))
         return

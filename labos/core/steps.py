@@ -13,7 +13,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import RunId
-from labos.core.registry import event
+from labos.core.registry import Event, event
 from labos.core.runs import (
     DONE,
     FAILED,
@@ -52,28 +52,24 @@ class StepRetried(RunEvent, frozen=True):
     why: str
 
 
-@event("step.skipped")
-class StepSkipped(RunEvent, frozen=True):
-    """A step is skipped, or it failed and the run continues without it."""
-
+class StepEvent(RunEvent, frozen=True):
     step: int
     why: str
+
+
+@event("step.skipped")
+class StepSkipped(StepEvent, frozen=True):
+    """A step is skipped, or it failed and the run continues without it."""
 
 
 @event("step.unexpected")
-class StepUnexpected(RunEvent, frozen=True):
+class StepUnexpected(StepEvent, frozen=True):
     """A step's result is not what the workflow expects (an *experiment error*)."""
-
-    step: int
-    why: str
 
 
 @event("step.recovering")
-class StepRecovering(RunEvent, frozen=True):
+class StepRecovering(StepEvent, frozen=True):
     """A step failed. The steps under its ``on_error`` are carried out."""
-
-    step: int
-    why: str
 
 
 def fold_window_breached(runs: Runs, event: WindowBreached, at: int) -> None:
@@ -89,16 +85,22 @@ def fold_action_requested(runs: Runs, event: ActionRequested, at: int) -> None:
         runs.active[event.run].steps[event.step].status = IN_FLIGHT
 
 
-def fold_action_in_progress(runs: Runs, event: ActionAccepted | ActionReported, at: int) -> None:
-    _mark(runs, event.run, event.step, IN_FLIGHT)
+_STATUS: dict[type[Event], StepStatus] = {
+    ActionAccepted: IN_FLIGHT,
+    ActionReported: IN_FLIGHT,
+    ActionFailed: FAILED,
+    ActionUnknown: UNKNOWN,
+}
+
+
+def fold_action_status(
+    runs: Runs, event: ActionAccepted | ActionReported | ActionFailed | ActionUnknown, at: int
+) -> None:
+    _mark(runs, event.run, event.step, _STATUS[type(event)])
 
 
 def fold_action_rejected(runs: Runs, event: ActionRejected, at: int) -> None:
     _mark(runs, event.run, event.step, FAILED if event.final else PENDING)
-
-
-def fold_action_failed(runs: Runs, event: ActionFailed, at: int) -> None:
-    _mark(runs, event.run, event.step, FAILED)
 
 
 def fold_step_retried(runs: Runs, event: StepRetried, at: int) -> None:
@@ -133,24 +135,22 @@ def fold_step_recovering(runs: Runs, event: StepRecovering, at: int) -> None:
             run.steps[index].status = PENDING
 
 
-def fold_action_unknown(runs: Runs, event: ActionUnknown, at: int) -> None:
-    _mark(runs, event.run, event.step, UNKNOWN)
-
-
 def fold_action_succeeded(runs: Runs, event: ActionSucceeded, at: int) -> None:
-    run = _mark(runs, event.run, event.step, DONE)
-    if run is not None:
-        # The time of a clock that is ahead of the log's clock is not used.
-        run.steps[event.step].ended_at = event.ended_ns if 0 < event.ended_ns <= at else at
-        if event.step in runs.plan_of(run).feeds:
-            run.steps[event.step].result = event.result
+    # The time of a clock that is ahead of the log's clock is not used.
+    _end(runs, event, event.ended_ns if 0 < event.ended_ns <= at else at)
 
 
 def fold_action_reconciled(runs: Runs, event: ActionReconciled, at: int) -> None:
-    outcome = {"all": DONE, "none": PENDING}.get(event.effects, FAILED)
-    run = _mark(runs, event.run, event.step, outcome)
-    if run is not None and outcome == DONE:
-        run.steps[event.step].ended_at = at
+    if event.effects == "all":
+        _end(runs, event, at)
+    else:
+        _mark(runs, event.run, event.step, PENDING if event.effects == "none" else FAILED)
+
+
+def _end(runs: Runs, event: ActionSucceeded | ActionReconciled, ended_at: int) -> None:
+    run = _mark(runs, event.run, event.step, DONE)
+    if run is not None:
+        run.steps[event.step].ended_at = ended_at
         if event.step in runs.plan_of(run).feeds:
             run.steps[event.step].result = event.result
 

@@ -25,6 +25,11 @@ CONTROL_IN_NOTE = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff]")
 """Characters that no note may contain; a note may have several lines."""
 
 
+def make_code(name: str) -> str:
+    """The code of a class of errors or reasons: ``ModuleBusy`` is ``module_busy``."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
 def strip_unprintable(text: str) -> str:
     """The text without characters that cannot be recorded or shown."""
     return CONTROL_IN_NOTE.sub("\ufffd", text.replace("\r\n", "\n").replace("\r", "\n"))

@@ -15,7 +15,7 @@ from labos.core.effects import AnyEffect, Move, Needs, Reads, list_carried
 from labos.core.ids import ActionId, ExperimentId, LabwareId, StationName, local
 
 NAMED = 8
-"""The text of a question names at most this number of pieces of labware; the others are counted."""
+"""A text for people names at most this number of things; the others are counted."""
 
 T = TypeVar("T")
 
@@ -69,10 +69,10 @@ def split_into_batches(topic: type[Topic], pieces: Sequence[T]) -> Iterator[Sequ
         yield pieces[first : first + topic.MOST_PIECES]
 
 
-def name_some(pieces: Sequence[str]) -> str:
-    """The first of several pieces, and the number of the others, as a part of a sentence."""
-    more = f" and {len(pieces) - NAMED} more" if len(pieces) > NAMED else ""
-    return f"{', '.join(pieces[:NAMED])}{more}"
+def name_some(things: Sequence[str], most: int = NAMED) -> str:
+    """The first of several things, and the number of the others, as a part of a sentence."""
+    more = f" and {len(things) - most} more" if len(things) > most else ""
+    return f"{', '.join(things[:most])}{more}"
 
 
 class ActionTopic(Topic, frozen=True):

@@ -144,6 +144,11 @@ class User(msgspec.Struct):
     since: int
     disabled: bool = False
 
+    @property
+    def is_person(self) -> bool:
+        """Whether it is a person who may act."""
+        return self.kind == "person" and not self.disabled
+
 
 class Users(msgspec.Struct):
     """``known`` is by id; ``roles`` by subject and scope. A lab without users is open: everybody who can
@@ -177,9 +182,7 @@ class Users(msgspec.Struct):
         return [
             name
             for name, user in self.known.items()
-            if user.kind == "person"
-            and not user.disabled
-            and self.roles.get(user_subject(name), _NOTHING).get(WHOLE_LAB) == "admin"
+            if user.is_person and self.roles.get(user_subject(name), _NOTHING).get(WHOLE_LAB) == "admin"
         ]
 
 
@@ -190,12 +193,8 @@ def fold_user_added(users: Users, event: UserAdded, at: int) -> None:
     users.known[event.user] = User(event.kind, at)
 
 
-def fold_user_disabled(users: Users, event: UserDisabled, at: int) -> None:
-    users.known[event.user].disabled = True
-
-
-def fold_user_enabled(users: Users, event: UserEnabled, at: int) -> None:
-    users.known[event.user].disabled = False
+def fold_user_disabled(users: Users, event: UserDisabled | UserEnabled, at: int) -> None:
+    users.known[event.user].disabled = isinstance(event, UserDisabled)
 
 
 def fold_role_granted(users: Users, event: RoleGranted, at: int) -> None:

@@ -17,7 +17,7 @@ from labos.core.ids import (
     user_owner,
     workcell_of,
 )
-from labos.core.reasons import AnyReason, Urgency
+from labos.core.reasons import AnyReason
 from labos.core.runs import RunState
 from labos.core.state import LabState
 
@@ -33,7 +33,7 @@ class Wait(msgspec.Struct, frozen=True):
     @property
     def blocked(self) -> bool:
         """Whether a person has to act, or a device has to come back. Otherwise the wait ends by itself."""
-        return self.reason.URGENCY is Urgency.PERSON
+        return not self.reason.PASSES
 
     @property
     def code(self) -> str:

@@ -14,14 +14,13 @@ from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route
 
 from labos.errors import LabosError
 from labos.http import wire
 from labos.http.door import RequestFilter
 from labos.http.identity import Gate
-from labos.http.metrics import metric_routes
 from labos.http.openapi import document
 from labos.http.operation import Api, Operation
 from labos.http.providing import list_provider_routes
@@ -30,6 +29,7 @@ from labos.http.service import LabService
 from labos.http.words import ShownWords
 
 DOCUMENT = f"{PREFIX}/openapi.json"
+METRICS = "text/plain; version=0.0.4; charset=utf-8"
 
 
 def create_app(service: LabService, gate: Gate, names: Collection[str] = ()) -> Starlette:
@@ -67,10 +67,21 @@ def _list_other_routes(api: Api) -> list[Route]:
         failed = api.kernel.failed.done()
         return wire.answer({"status": "failed" if failed else "ok"})
 
+    async def metrics(request: Request) -> Response:
+        """All metrics of this process, for Prometheus."""
+        await api.gate.admit(request, "viewer")
+        return PlainTextResponse(api.service.parts.metrics.text(), media_type=METRICS)
+
+    async def targets(request: Request) -> Response:
+        """The addresses at which Prometheus finds the metrics of the kernel and the nodes."""
+        await api.gate.admit(request, "viewer")
+        return wire.answer(api.service.parts.metrics.targets(request.headers.get("host", "")))
+
     return [
         Route(DOCUMENT, describe, methods=["GET"]),
         Route("/health", probe, methods=["GET"]),
-        *metric_routes(api.service, api.gate),
+        Route("/metrics", metrics, methods=["GET"]),
+        Route("/metrics/targets", targets, methods=["GET"]),
     ]
 
 

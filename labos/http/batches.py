@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from labos.core.decide.batches import SubmitRuns
-from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import RunId
 from labos.core.runs import RunSubmitted
-from labos.core.structs import make_from
-from labos.core.users import find_person
 from labos.errors import BadInput
 from labos.http.placing import make_loads
 from labos.http.repeats import expect_same_run, make_digest_of_request
@@ -47,18 +44,16 @@ async def submit_batch(
     loads = [] if known else make_loads(service, asked.place, workcell, asked.user)
     compiled = await _compile_each(service, asked, workcell, loads)
     commands = tuple(
-        make_from(
-            SubmitRun,
+        service.make_run(
             asked,
-            payload=payload,
-            plan=each.plan,
-            others=each.others,
-            user=find_person(asked.user),
-            pins={**service.list_pins(_text_of(asked, number), *each.plans), "request": digests[number]},
+            _text_of(asked, number),
+            each,
+            payload=asked.payloads[number],
+            whole=digests[number],
             request=keys[number],
             due_at=due_at,
         )
-        for number, (payload, each) in enumerate(zip(asked.payloads, compiled, strict=True))
+        for number, each in enumerate(compiled)
     )
     events = await service.kernel.execute(SubmitRuns(commands, tuple(loads), asked.first), asked.user)
     new = [event for event in events if isinstance(event, RunSubmitted)]

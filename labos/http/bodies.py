@@ -39,18 +39,22 @@ from labos.http.service import WorkflowText
 
 Limit = Annotated[int, msgspec.Meta(ge=0, le=WHOLE_NUMBERS[1])]
 Amounts = Annotated[dict[Name, Amount], msgspec.Meta(max_length=MOST_ENTRIES)]
+Placings = Annotated[list[Placing], msgspec.Meta(max_length=MOST_ENTRIES)]
 Tags = Annotated[list[Name], msgspec.Meta(max_length=MOST_TAGS)]
 
 WAITS = says("wait for an approval, also if the policy does not require one")
 
 
+class Asked(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+    """A request in which a user is named."""
+
+    by: Asker = ""
+
+
 class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     """A run of a workflow."""
 
-    workflow: Annotated[
-        WorkflowText,
-        says("the workflow, with the files that it names"),
-    ]
+    workflow: Annotated[WorkflowText, says("the workflow, with the files that it names")]
     user: Asker = ""
     payload: Annotated[dict[str, Any], says("values for the workflow")] = {}
     workcell: Annotated[Name, says("needed if the lab has several")] = ""
@@ -59,9 +63,7 @@ class NewRun(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
         Name, says("the experiment to which the run belongs; it must belong to the same user")
     ] = ""
     place: Annotated[
-        list[Placing],
-        msgspec.Meta(max_length=MOST_ENTRIES),
-        says("labware that was put on the bench for the run; recorded with the run, or not at all"),
+        Placings, says("labware that was put on the bench for the run; recorded with the run, or not at all")
     ] = []
     propose: Annotated[bool, WAITS] = False
     due: Annotated[
@@ -84,11 +86,10 @@ class NewRuns(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     priority: Annotated[Priority, says("higher goes first; 0")] = 0
     experiment: Annotated[Name, says("the experiment to which they belong; it must be the user's")] = ""
     place: Annotated[
-        list[Placing],
-        msgspec.Meta(max_length=MOST_ENTRIES),
+        Placings,
         says("labware that was put on the bench for them; recorded once with the runs, or not at all"),
     ] = []
-    propose: Annotated[bool, says("wait for an approval, also if the policy does not require one")] = False
+    propose: Annotated[bool, WAITS] = False
     due: Annotated[
         Line, says("the time by which they should end: a time, or a duration from now (`12h`); empty: none")
     ] = ""
@@ -129,8 +130,7 @@ class NewExperiment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 
 class ExperimentNote(msgspec.Struct, forbid_unknown_fields=True):
     kind: Annotated[
-        Name,
-        says("`loop_started`, `loop_ended`, `decision`, `compute` and the like, as events.md says"),
+        Name, says("`loop_started`, `loop_ended`, `decision`, `compute` and the like, as events.md says")
     ]
     name: Annotated[Name, says("its name")]
     facts: Annotated[dict[str, Any], says("a table of anything")] = {}
@@ -163,21 +163,17 @@ class NewCampaign(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     propose: Annotated[bool, WAITS] = False
 
 
-class CampaignPause(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class CampaignPause(Asked, kw_only=True):
     why: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
-class CampaignCancel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
-    why: Annotated[Line, says("a reason or comment for the log")] = ""
+class CampaignCancel(CampaignPause, kw_only=True):
     stay: Annotated[bool, says("labware of its runs stays where it is")] = False
 
 
-class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class Amendment(Asked, kw_only=True):
     """Fields that are left out do not change."""
 
-    by: Asker = ""
     priority: Annotated[Priority | None, says("the priority of rows that are submitted from now on")] = None
     deadline: Annotated[Line | None, says("a time, or a duration from now (`12h`); empty for none")] = None
     runs: Annotated[Limit | None, says("the largest number of runs; 0 for no limit")] = None
@@ -190,7 +186,7 @@ class Amendment(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = None
 
 
-class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
+class Clone(Amendment, kw_only=True):
     """Fields that are left out are copied from the campaign, except the deadline: the clone has none."""
 
     name: Annotated[Line, says("the name of the new campaign; empty: the name of the original")] = ""
@@ -199,8 +195,7 @@ class Clone(Amendment, forbid_unknown_fields=True, kw_only=True):
     propose: Annotated[bool, WAITS] = False
 
 
-class Archiving(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class Archiving(Asked, kw_only=True):
     undo: Annotated[bool, says("show it in lists again")] = False
 
 
@@ -213,7 +208,7 @@ class SharesFile(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
 class SuggestedStep(msgspec.Struct, forbid_unknown_fields=True):
     run: Annotated[Name, says("a run's id")]
     step: Annotated[int, msgspec.Meta(ge=0, le=100_000, description="which of its steps, counted from 0")]
-    start: Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1, description="when it should start (UTC ns)")]
+    start: Annotated[Time, says("when it should start (UTC ns)")]
     outside: Annotated[bool, says("the run waits outside until then, and does not block others")] = False
 
 
@@ -224,13 +219,8 @@ class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
             max_length=MOST_STEPS, description="the steps, in any order; none: withdraw the suggestion"
         ),
     ]
-    until: Annotated[
-        int, msgspec.Meta(ge=0, le=2**63 - 1, description="the time until which it is valid (UTC ns)")
-    ]
-    position: Annotated[
-        int,
-        msgspec.Meta(ge=0, le=2**63 - 1, description="the position of the log from which it was computed"),
-    ] = 0
+    until: Annotated[Time, says("the time until which it is valid (UTC ns)")]
+    position: Annotated[Time, says("the position of the log from which it was computed")] = 0
     by: Asker = ""
 
 
@@ -243,12 +233,6 @@ class InterventionAnswer(msgspec.Struct, forbid_unknown_fields=True, kw_only=Tru
     ] = None
 
 
-class LabwarePlacement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    station: Annotated[Name, says("the station")]
-    labware: Annotated[Name, says("its type")]
-    by: Asker = ""
-
-
 class BarcodeLabel(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     barcode: Annotated[Name, says("the text of the barcode")]
     by: Asker = ""
@@ -259,8 +243,7 @@ class Observation(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     by: Asker = ""
     what: Annotated[
-        Name,
-        says("`empty`, a number, labware by its id or barcode, or a labware type; left out: something"),
+        Name, says("`empty`, a number, labware by its id or barcode, or a labware type; left out: something")
     ] = ""
 
 
@@ -304,8 +287,7 @@ class NewPose(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = ""
 
 
-class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class NewCalibration(Asked, kw_only=True):
     what: Annotated[
         Name, says("the calibrated part or quantity, such as `volume`; empty for the whole module")
     ] = ""
@@ -315,14 +297,12 @@ class NewCalibration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     why: Annotated[Line, says("a comment for the log")] = ""
 
 
-class AccessRequest(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class AccessRequest(Asked, kw_only=True):
     why: Annotated[Line, says("what for")] = ""
     park: Annotated[bool, says("false: arms stay where they are")] = True
 
 
-class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class AccessEnd(Asked, kw_only=True):
     note: Annotated[Words, says("a comment for the log")] = ""
     changed: Annotated[
         list[StationChange],
@@ -331,8 +311,7 @@ class AccessEnd(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = []
 
 
-class BenchDeclaration(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class BenchDeclaration(Asked, kw_only=True):
     stations: Annotated[Named, says("types of labware by station")] = {}
     workcell: Annotated[Name, says("the workcell for `empty`, if the lab has several")] = ""
     empty: Annotated[bool, says("all stations that were not reported are empty")] = False
@@ -342,13 +321,13 @@ class By(msgspec.Struct, forbid_unknown_fields=True):
     by: Asker = "somebody"
 
 
-class WireTrace(By, forbid_unknown_fields=True):
+class WireTrace(By):
     """Whether a node writes down every byte on its device's wires."""
 
     on: Annotated[bool, says("true or left out: start a transcript in a new file; false: stop it")] = True
 
 
-class RunCancel(By, forbid_unknown_fields=True):
+class RunCancel(By):
     """The run ends when its actions in flight have ended."""
 
     stay: Annotated[
@@ -365,7 +344,7 @@ class RunSignature(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     why: Annotated[Line, says("a comment, for the log")] = ""
 
 
-class RunPause(By, forbid_unknown_fields=True):
+class RunPause(By):
     """No more steps of a run are to start until it is resumed."""
 
     why: Annotated[Line, says("a reason or comment for the log")] = ""

@@ -86,10 +86,8 @@ class CampaignRows:
 
     async def _read(self, campaign: Campaign) -> tuple[RowTable, WorkflowText]:
         if campaign.id not in self._known:
-            for name in [
-                name for name in self._known if name not in self._service.kernel.state.campaigns.open
-            ]:
-                del self._known[name]
+            alive = self._service.kernel.state.campaigns.open
+            self._known = {name: known for name, known in self._known.items() if name in alive}
             blobs = self._service.parts.blobs
             table = await asyncio.to_thread(read_table, blobs, campaign.table)
             definition = await asyncio.to_thread(read_definition, blobs, campaign.definition)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -22,7 +22,7 @@ from labos.core.viewer import Visibility
 from labos.errors import BadInput, KeyReused, SpecError
 from labos.http.bodies import Amendment, NewCampaign
 from labos.http.campaign_rows import explain_no_time, take_due
-from labos.http.service import LabService, WorkflowText
+from labos.http.service import LabService
 from labos.planning.certified import check_windows
 from labos.planning.lab_forecast import LabForecast
 from labos.services.times import parse_until
@@ -93,9 +93,12 @@ class CampaignView(msgspec.Struct, frozen=True):
 
 
 class CheckedCampaign(msgspec.Struct):
-    """The result of the check of a campaign's rows: the plan of each row that was planned, and in ``rows``
-    all plans between which each row chooses."""
+    """A campaign whose rows are checked: the plan of each row that was planned, and in ``rows`` all plans
+    between which each of them chooses."""
 
+    new: NewCampaign
+    content: CampaignSource
+    workcell: str
     report: FindingList
     plans: list[Plan] = []
     rows: list[tuple[Plan, ...]] = []
@@ -105,35 +108,22 @@ class CheckedCampaign(msgspec.Struct):
 async def submit_campaign(service: LabService, new: NewCampaign, request: str) -> tuple[str, Estimate]:
     """Check the whole campaign, store its table and workflow, and submit it; with ``dry_run``, only check.
     Raises SpecError, SpecErrors with each fault and its row, NotFound, Refused, KeyReused."""
-    content, deadline, workcell, checked = await _read(service, new)
-    return await keep_campaign(service, new, content, workcell, checked, deadline, request)
+    return await keep_campaign(service, await _read(service, new), request)
 
 
 async def keep_campaign(
-    service: LabService,
-    new: NewCampaign,
-    content: CampaignSource,
-    workcell: str,
-    checked: CheckedCampaign,
-    deadline: int,
-    request: str,
-    cloned_from: CampaignId = NOBODYS,
+    service: LabService, checked: CheckedCampaign, request: str, cloned_from: CampaignId = NOBODYS
 ) -> tuple[str, Estimate]:
     """Store the table and workflow of a checked campaign, and submit it. Raises Refused, KeyReused."""
-    estimate = _estimate(service, content, workcell, checked)
+    new, estimate = checked.new, _estimate(service, checked)
     if new.dry_run:
         return "", estimate
-    table = b"\n".join(msgspec.json.encode(line.payload) for line in content.lines)
-    definition = msgspec.json.encode(new.workflow)
+    table = b"\n".join(msgspec.json.encode(line.payload) for line in checked.content.lines)
     blobs = service.parts.blobs
-    command = _command(
-        new,
-        content,
-        estimate,
-        checked,
-        deadline,
+    command = msgspec.structs.replace(
+        _command(checked, estimate),
         table=await asyncio.to_thread(blobs.put, table),
-        definition=await asyncio.to_thread(blobs.put, definition),
+        definition=await asyncio.to_thread(blobs.put, msgspec.json.encode(new.workflow)),
         request=request,
         cloned_from=cloned_from,
     )
@@ -149,47 +139,36 @@ async def keep_campaign(
 
 async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, LabForecast]:
     """Check the whole campaign, and make its forecast. Raises as ``submit_campaign``."""
-    content, deadline, workcell, checked = await _read(service, new)
-    estimate = _estimate(service, content, workcell, checked)
-    command = _command(new, content, estimate, checked, deadline)
-    return estimate, await service.forecasts.forecast(command, new.user, checked.rows)
+    checked = await _read(service, new)
+    estimate = _estimate(service, checked)
+    return estimate, await service.forecasts.forecast(_command(checked, estimate), new.user, checked.rows)
 
 
-async def _read(service: LabService, new: NewCampaign) -> tuple[CampaignSource, int, str, CheckedCampaign]:
-    """The content of a campaign file, its deadline (UTC ns), its workcell, and the result of the check."""
+async def _read(service: LabService, new: NewCampaign) -> CheckedCampaign:
+    """Read the file of a campaign, and check it."""
     service.expect_role(new.user, "submitter")  # before anything is planned or stored
     content = await service.run_beside(len(new.text), parse_campaign, new.text, new.name, new.files)
-    deadline = _parse_deadline(service, content)
-    workcell = service.workcell(content.file.workcell or await _find_workcell(service, new.workflow)).name
-    return content, deadline, workcell, await check_rows(service, new, content, workcell)
+    terms = msgspec.structs.replace(content.terms, deadline=_parse_deadline(service, content))
+    content = msgspec.structs.replace(content, terms=terms)
+    workcell = await service.find_workcell_for(new.workflow, content.file.workcell)
+    return await check_rows(service, new, content, workcell)
 
 
-def _command(
-    new: NewCampaign,
-    content: CampaignSource,
-    estimate: Estimate,
-    checked: CheckedCampaign,
-    deadline: int,
-    *,
-    table: str = "",
-    definition: str = "",
-    request: str = "",
-    cloned_from: CampaignId = NOBODYS,
-) -> SubmitCampaign:
+def _command(checked: CheckedCampaign, estimate: Estimate) -> SubmitCampaign:
+    """The command without its blobs."""
+    new, content = checked.new, checked.content
     return SubmitCampaign(
-        name=content.file.campaign,
+        name=estimate.name,
         user=find_person(new.user),
         workflow=estimate.workflow,
         workcell=estimate.workcell,
-        rows=len(content.lines),
-        table=table,
-        definition=definition,
-        terms=msgspec.structs.replace(content.terms, deadline=deadline),
-        request=request,
-        demand=sum_demand(checked.plans, len(content.lines) / len(checked.plans)),
+        rows=estimate.rows,
+        table="",
+        definition="",
+        terms=content.terms,
+        demand=sum_demand(checked.plans, estimate.rows / len(checked.plans)),
         propose=new.propose,
         visibility=content.file.visibility,
-        cloned_from=cloned_from,
         due=content.file.due,
     )
 
@@ -224,12 +203,6 @@ def _parse_deadline(service: LabService, content: CampaignSource) -> int:
     return found
 
 
-async def _find_workcell(service: LabService, workflow: WorkflowText) -> str:
-    source = await service.run_beside(len(workflow.text), parse_workflow, workflow.text, workflow.name)
-    wanted = source.data.get("workcell")
-    return wanted if isinstance(wanted, str) and len(service.kernel.state.lab.workcells) != 1 else ""
-
-
 def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
     """The rows that are planned before the submission: all, or so many, evenly spread."""
     if len(lines) <= MOST_CHECKED:
@@ -242,25 +215,19 @@ async def check_rows(
     service: LabService, new: NewCampaign, content: CampaignSource, workcell: str
 ) -> CheckedCampaign:
     """Plan rows. Raises SpecErrors with the faults of all rows."""
-    checked, rows = CheckedCampaign(FindingList(new.name)), _choose_rows(content.lines)
+    cell = service.workcell(workcell).name
+    checked, rows = CheckedCampaign(new, content, cell, FindingList(new.name)), _choose_rows(content.lines)
     for first in range(0, len(rows), CHECKED_AT_ONCE):
         part = rows[first : first + CHECKED_AT_ONCE]
-        size = len(new.workflow.text) * len(part)
-        await service.run_beside(size, _plan_rows, service, new, content, workcell, part, checked)
-    _check_stop_rule(content, checked)
+        await service.run_beside(len(new.workflow.text) * len(part), _plan_rows, service, checked, part)
+    _check_stop_rule(checked)
     checked.report.raise_if_failed()
     return checked
 
 
-def _plan_rows(
-    service: LabService,
-    new: NewCampaign,
-    content: CampaignSource,
-    workcell: str,
-    rows: Sequence[int],
-    checked: CheckedCampaign,
-) -> None:
-    cell, bench = service.workcell(workcell), service.read_bench(workcell)
+def _plan_rows(service: LabService, checked: CheckedCampaign, rows: Sequence[int]) -> None:
+    new, content = checked.new, checked.content
+    cell, bench = service.workcell(checked.workcell), service.read_bench(checked.workcell)
     source = parse_workflow(new.workflow.text, new.workflow.name)
     for row in rows:
         line = content.lines[row]
@@ -314,48 +281,46 @@ def _report_row(report: FindingList, row: int, line: RowLine, finding: Finding, 
     )
 
 
-def _check_stop_rule(content: CampaignSource, checked: CheckedCampaign) -> None:
-    until = content.terms.until
+def _check_stop_rule(checked: CheckedCampaign) -> None:
+    until = checked.content.terms.until
     if until is None or not checked.plans:
         return
     known = {step.key for plan in checked.plans for step in plan.steps}
     for key in sorted(find_reads(until) - known):
-        place = content.source.place(("until",))
+        place = checked.content.source.place(("until",))
         remedy = suggest_name(key, known, "step")
         checked.report.error(f"The workflow has no step {key!r}.", place, field="until", remedy=remedy)
 
 
-def _estimate(
-    service: LabService, content: CampaignSource, workcell: str, checked: CheckedCampaign
-) -> Estimate:
-    plans = checked.plans
-    times = len(content.lines) / len(plans)
-    asked = sum_demand(plans, times)
+def _estimate(service: LabService, checked: CheckedCampaign) -> Estimate:
+    plans, rows = checked.plans, len(checked.content.lines)
+    asked = sum_demand(plans, rows / len(plans))
     busiest = max(asked.modules, key=asked.modules.__getitem__)
     return Estimate(
-        name=content.file.campaign,
+        name=checked.content.file.campaign,
         workflow=plans[0].workflow,
-        workcell=workcell,
-        rows=len(content.lines),
+        workcell=checked.workcell,
+        rows=rows,
         checked=len(plans),
         module_time_s=asked.module_time_s,
         modules=asked.modules,
         bounds_s=asked.modules[busiest],
         busiest=busiest,
-        consumables={
-            kind: ConsumableEstimate(n, find_left(service, workcell, kind))
-            for kind, n in asked.consumables.items()
-        },
+        consumables=estimate_consumables(service, checked.workcell, asked.consumables),
         findings=tuple(checked.findings),
     )
 
 
-def find_left(service: LabService, workcell: str, kind: str) -> float | None:
-    """The rest of a consumable in all modules of a workcell."""
-    levels = service.kernel.state.resources.levels
-    known = ((*split_level_key(name), level.level) for name, level in levels.items())
-    found = [left for module, resource, left in known if workcell_of(module) == workcell and resource == kind]
-    return sum(found) if found else None
+def estimate_consumables(
+    service: LabService, workcell: str, needed: Mapping[str, float]
+) -> dict[str, ConsumableEstimate]:
+    """The needed amounts of consumables, and how much of each is left in all modules of a workcell."""
+    left: dict[str, float] = {}
+    for name, level in service.kernel.state.resources.levels.items():
+        module, kind = split_level_key(name)
+        if workcell_of(module) == workcell:
+            left[kind] = left.get(kind, 0.0) + level.level
+    return {kind: ConsumableEstimate(amount, left.get(kind)) for kind, amount in needed.items()}
 
 
 def amend_terms(terms: Terms, asked: Amendment, now: int) -> Terms:

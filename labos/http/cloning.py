@@ -50,11 +50,8 @@ async def clone_campaign(
         dry_run=asked.dry_run,
         propose=asked.propose,
     )
-    workcell = service.workcell(first.workcell).name
-    checked = await check_rows(service, new, content, workcell)
-    return await keep_campaign(
-        service, new, content, workcell, checked, terms.deadline, request, first.campaign
-    )
+    checked = await check_rows(service, new, content, first.workcell)
+    return await keep_campaign(service, checked, request, first.campaign)
 
 
 def _read(log: Log, name: str) -> tuple[CampaignSubmitted, Terms]:

@@ -84,11 +84,16 @@ def find_meant(state: LabState, text: str) -> tuple[Kind, str]:
     return "module", modules[0]
 
 
+def make_run_command(verb: str, run: str, stay: bool, why: str) -> Command:
+    """``cancel``, ``pause`` or ``resume`` a run."""
+    if verb == "cancel":
+        return CancelRun(RunId(run), stay, why)
+    return PauseRun(RunId(run), why) if verb == "pause" else ResumeRun(RunId(run))
+
+
 def _command(verb: str, kind: Kind, target: str, asked: ControlRequest) -> Command:
-    if kind == "run" and verb == "cancel":
-        return CancelRun(RunId(target), asked.stay, asked.why)
     if kind == "run":
-        return PauseRun(RunId(target), asked.why) if verb == "pause" else ResumeRun(RunId(target))
+        return make_run_command(verb, target, asked.stay, asked.why)
     if verb == "pause":
         return PauseStarts(target, asked.by, asked.why)
     if verb == "resume":

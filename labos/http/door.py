@@ -48,7 +48,7 @@ class RequestFilter:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         return (
             self._check_host(headers.get("host", ""))
-            or (None if _is_way_back(scope) else _check_origin(headers))
+            or (_check_origin(headers) if (scope["method"], scope["path"]) != ("GET", WAY_BACK) else None)
             or _check_json(scope["method"], headers.get("content-type", ""))
             or _check_text(scope)
         )
@@ -80,11 +80,6 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_way_back(scope: Scope) -> bool:
-    """Whether an identity provider redirects a user who has signed in there."""
-    return (scope["method"], scope["path"]) == ("GET", WAY_BACK)
 
 
 def _check_origin(headers: dict[str, str]) -> Problem | None:

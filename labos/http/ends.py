@@ -22,25 +22,46 @@ class StreamEnd:
     def __init__(self, lasts_s: float) -> None:
         self.has_come = False
         self.when: Callable[[], None] = lambda: None
-        self._timer = asyncio.get_running_loop().call_later(min(lasts_s, LONGEST_S), self.come)
+        self.timer = asyncio.get_running_loop().call_later(min(lasts_s, LONGEST_S), self.come)
 
     def come(self) -> None:
         self.has_come = True
-        self._timer.cancel()
+        self.timer.cancel()
         self.when()
 
-    def forget(self) -> None:
+
+class OpenStreams:
+    """The streams of a process, by the key of their credential."""
+
+    def __init__(self) -> None:
+        self._ends: dict[str, set[StreamEnd]] = {}
+
+    def begin(self, key: str, lasts_s: float) -> StreamEnd:
+        end = StreamEnd(lasts_s)
+        self._ends.setdefault(key, set()).add(end)
+        return end
+
+    def forget(self, key: str, end: StreamEnd) -> None:
         """The stream has ended by itself."""
-        self._timer.cancel()
+        end.timer.cancel()
+        left = self._ends.get(key, set())
+        left.discard(end)
+        if not left:
+            self._ends.pop(key, None)
+
+    def cut(self, key: str) -> None:
+        """End the streams with this credential."""
+        for end in self._ends.pop(key, ()):
+            end.come()
 
 
-class StreamEnds:
-    """The streams of this process by the key of a credential, and those that another process serves.
-    ``cut_elsewhere`` is called with the keys that have ended."""
+class StreamEnds(OpenStreams):
+    """The streams of this process, and those that another process serves: ``cut_elsewhere`` is called with
+    the keys that have ended."""
 
-    def __init__(self, clock: Clock, cut_elsewhere: Callable[[str], None] = lambda key: None) -> None:
+    def __init__(self, clock: Clock, cut_elsewhere: Callable[[str], None]) -> None:
+        super().__init__()
         self._clock, self._cut_elsewhere = clock, cut_elsewhere
-        self._here: dict[str, set[StreamEnd]] = {}
         self._known: dict[str, Credential] = {}
 
     @property
@@ -55,25 +76,10 @@ class StreamEnds:
         self._known[credential.key] = credential
         return max(0.0, (credential.until - now) / _SECOND)
 
-    def begin(self, credential: Credential) -> StreamEnd:
-        """The end of a stream in this process."""
-        end = StreamEnd(self.find_length_s(credential))
-        self._here.setdefault(credential.key, set()).add(end)
-        return end
-
-    def forget_stream(self, credential: Credential, end: StreamEnd) -> None:
-        """The stream has ended by itself."""
-        end.forget()
-        left = self._here.get(credential.key, set())
-        left.discard(end)
-        if not left:
-            self._here.pop(credential.key, None)
-
-    def cut(self, which: Callable[[Credential], bool]) -> None:
+    def cut_all(self, which: Callable[[Credential], bool]) -> None:
         """End the streams of these credentials."""
         for key, credential in list(self._known.items()):
             if which(credential):
                 del self._known[key]
                 self._cut_elsewhere(key)
-                for end in tuple(self._here.get(key, ())):
-                    end.come()
+                self.cut(key)

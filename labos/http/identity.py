@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import structlog
 from starlette.requests import Request
 
-from labos.core.users import User, on_behalf
+from labos.core.users import Users, on_behalf
 from labos.errors import Forbidden, LabosError, NotSignedIn, StoreUnavailable
 from labos.services.accounts import HOME, Accounts, Credential, Need, allows, make_digest
 
@@ -52,17 +52,6 @@ class Who(msgspec.Struct, frozen=True):
     def is_known(self) -> bool:
         """Whether this name is used, and not the name in the request."""
         return self.how in ("token", "session")
-
-
-class Users(Protocol):
-    """The lab's users, as far as they are needed to admit requests."""
-
-    @property
-    def is_open(self) -> bool:
-        """Whether there are no users: everybody may do everything."""
-
-    def get(self, user: str) -> User | None:
-        """A user who may act."""
 
 
 class Gate:
@@ -112,9 +101,8 @@ class Gate:
         try:
             who = await (self._find_user_by_link(request) if by_link else self.identify(request))
             self._check(who, need, by_home)
-        except LabosError as error:
-            if isinstance(error, NotSignedIn | Forbidden):
-                self._report_refusal(request, error)
+        except (NotSignedIn, Forbidden) as error:
+            self._report_refusal(request, error)
             raise
         return who
 
@@ -162,13 +150,9 @@ class Gate:
         credential = await self.accounts.find(shown or cookie)
         if credential.how != ("token" if shown else "session"):
             raise NotSignedIn("Send the token in the header Authorization.", remedy=SIGN_IN)
-        return Who(credential.how, credential.user, self._find_behalf(request, credential.user), credential)
-
-    def _find_behalf(self, request: Request, user: str) -> str:
-        """The person for whom a program acts. Raises Forbidden."""
-        named = request.headers.get(BEHALF, "")
-        self._expect_service(named, user)
-        return named
+        behalf = request.headers.get(BEHALF, "")
+        self._expect_service(behalf, credential.user)
+        return Who(credential.how, credential.user, behalf, credential)
 
     def _expect_service(self, named: str, user: str) -> None:
         """Raises Forbidden if a user may not act for the named person."""

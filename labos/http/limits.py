@@ -6,6 +6,7 @@ called. docs/reference/http.md describes them for users.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from functools import cache
 from typing import Annotated, Any, get_type_hints
@@ -60,9 +61,9 @@ FORMS = {
 """The fault of a text that does not match a pattern."""
 
 
-def says(meaning: str) -> msgspec.Meta:
+def says(meaning: str, *examples: str) -> msgspec.Meta:
     """The description of a field, for the description of the API and its reference page."""
-    return msgspec.Meta(description=meaning)
+    return msgspec.Meta(description=meaning, examples=list(examples) or None)
 
 
 Person = Annotated[str, msgspec.Meta(max_length=LONGEST_PERSON, pattern=ONE_LINE)]
@@ -133,9 +134,9 @@ def find_misfit(text: str, longest: int) -> str:
     """Why a text is not one line with at most so many characters; empty if it is."""
     if len(text) > longest:
         return f"has {len(text)} characters; {longest} are allowed"
-    if not text.isprintable() and not _is_one_line(text):
-        return FORMS[ONE_LINE]
-    return ""
+    if text.isprintable() or re.match(ONE_LINE, text):
+        return ""
+    return FORMS[ONE_LINE]
 
 
 @cache
@@ -204,7 +205,3 @@ def _check_keys(keys: Iterable[str], field: str) -> None:
         wrong = find_misfit(key, LONGEST_NAME)
         if wrong:
             raise BadInput(f"A key in the field {field!r} {wrong}.", remedy="Rename it.")
-
-
-def _is_one_line(text: str) -> bool:
-    return not any(ord(char) < 32 or 127 <= ord(char) < 160 or char in "\u2028\u2029" for char in text)

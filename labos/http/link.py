@@ -18,6 +18,7 @@ from starlette.responses import Response
 
 from labos.errors import BusError, KernelAway, LabosError
 from labos.http import wire
+from labos.http.idempotency import LoggedRequest
 from labos.http.letters import (
     Hello,
     KernelAnswer,
@@ -118,31 +119,31 @@ class KernelLink:
         await self._kernel.wait_until_known(at_least)
 
     async def answer(
-        self, operation: Operation, asked: AdmittedRequest, work: Callable[[], Awaitable[Response]]
+        self,
+        operation: Operation,
+        asked: AdmittedRequest,
+        logged: LoggedRequest | None,
+        work: Callable[[], Awaitable[Response]],
     ) -> Response:
-        """The answer to a request; ``work`` calls its handler on the followed log. Raises KernelAway, and the
-        errors of the handler."""
-        if asked.logged is not None and await asked.logged.is_known():
+        """The answer to a request; ``logged`` finds it in the log, ``work`` calls its handler on the followed
+        log. Raises KernelAway, and the errors of the handler."""
+        if logged is not None and await logged.is_known():
             # The kernel keeps its answers; the log has them too, but reading it takes longer.
             known = await self._recall(asked)
-            return known if known is not None else await asked.logged.find_answer()
-        refusal: LabosError | None = None
-        found: Response | None = None
-        if not operation.at_kernel:
-            try:
-                found = await work()
-            except SendOn:
-                pass
-            except LabosError as error:
-                refusal = error
-        if found is None and refusal is None:
+            return known if known is not None else await logged.find_answer()
+        if operation.at_kernel:
             return await self._send_on(asked)
+        try:
+            found: Response | LabosError = await work()
+        except SendOn:
+            return await self._send_on(asked)
+        except LabosError as error:
+            found = error
         if asked.key and (known := await self._recall(asked)) is not None:
             return known
         self.work.here += 1
-        if found is None:
-            assert refusal is not None
-            raise refusal
+        if isinstance(found, LabosError):
+            raise found
         return found
 
     async def _send_on(self, asked: AdmittedRequest) -> Response:

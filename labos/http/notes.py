@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from labos.core.structs import make_from
+
 if TYPE_CHECKING:
     from labos.http.service import LabService
 
@@ -38,7 +40,7 @@ def notes_of(service: LabService) -> Notes:
     nodes = parts.supervised.nodes if parts.supervised is not None else {}
     return Notes(
         {str(name): why for name, why in parts.registry.rejected.items()},
-        {name: ProcessNote(p.state, p.pid, p.starts, p.failures, p.why) for name, p in nodes.items()},
+        {name: make_from(ProcessNote, process) for name, process in nodes.items()},
         service.kernel.suspended,
         parts.simulated,
     )

@@ -81,8 +81,8 @@ def document(operations: Iterable[Operation]) -> dict[str, Any]:
     operations = list(operations)
     types = {
         kind
-        for operation in operations
-        for kind in (*_list_inputs(operation), operation.shape.answer)
+        for shape in (operation.shape for operation in operations)
+        for kind in (shape.path, shape.query, shape.body, shape.answer)
         if kind is not None and kind not in (str, bytes)
     }
     ordered = sorted(types, key=lambda kind: kind.__name__)
@@ -149,10 +149,6 @@ def parameters(operation: Operation) -> Iterator[dict[str, Any]]:
 def about(operation: Operation) -> str:
     """The description of an operation after its summary."""
     return inspect.cleandoc(operation.handler.__doc__ or "")
-
-
-def _list_inputs(operation: Operation) -> tuple[Any, ...]:
-    return operation.shape.path, operation.shape.query, operation.shape.body
 
 
 def _operation(operation: Operation, names: dict[Any, Any], components: dict[str, Any]) -> dict[str, Any]:

@@ -2,9 +2,10 @@
 derived from it.
 
 The parameters of a handler show what it reads: ``path``, ``query`` and ``body`` are structs, and its return
-value is a struct too. An operation decorates its handler::
+value is a struct too. An operation decorates its handler; ``read``, ``change`` and ``submit`` are
+operations whose values are given in part::
 
-    @Operation(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
+    @change(route="POST /runs/{run}/cancel", summary="Cancel a run", needs="submitter", …)
     async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunChanged: ...
 """
 
@@ -30,10 +31,10 @@ from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
-from labos.http.limits import SMALL_BODY
+from labos.http.limits import LARGEST_BODY, SMALL_BODY
 from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
-from labos.http.recorded import RepeatedRequest
+from labos.http.recorded import answer_from_log
 from labos.http.repeats import make_digest_of_request
 from labos.http.service import LabService
 from labos.http.shared import Shared
@@ -58,7 +59,7 @@ class Api:
         self.kernel = service.kernel
         viewers = service.viewers
         self.ends = StreamEnds(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
-        gate.accounts.on_end.append(self.ends.cut)
+        gate.accounts.on_end.append(self.ends.cut_all)
         self.arriving = BodyReader()
         self.idempotent = IdempotentAnswers()
         self._states: dict[tuple[bool, Viewer | None], Shared] = {}
@@ -70,10 +71,7 @@ class Api:
         if (waits, viewer) not in self._states and len(self._states) >= MOST_VIEWERS:
             del self._states[next(iter(self._states))]
         work = partial(self._make_view, waits=waits, viewer=viewer)
-        return self._states.setdefault((waits, viewer), Shared(work, self._flush))
-
-    async def _flush(self) -> None:
-        await self.kernel.flush()
+        return self._states.setdefault((waits, viewer), Shared(work, self.kernel.flush))
 
     @property
     def _notes(self) -> Notes:
@@ -82,15 +80,8 @@ class Api:
         return link.notes if link is not None else notes_of(self.service)
 
     def _make_view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
-        view = make_lab_view(
-            self.kernel,
-            simulated=self.service.parts.simulated,
-            rejected=self._notes.rejected,
-            supervised=self._notes.supervised,
-            waits=waits,
-            hidden=find_hidden(self.kernel.state, viewer),
-        )
-        return msgspec.json.encode(view)
+        hidden = find_hidden(self.kernel.state, viewer)
+        return msgspec.json.encode(make_lab_view(self.kernel, self._notes, waits=waits, hidden=hidden))
 
 
 class Call:
@@ -147,14 +138,13 @@ class Call:
 
 class AdmittedRequest(msgspec.Struct, frozen=True):
     """A request that was admitted and read: ``key`` is its idempotency key (empty: none that is used),
-    ``digest`` is a digest of the whole request, ``logged`` finds it in the log."""
+    ``digest`` is a digest of the whole request."""
 
     request: Request
     who: Who
     arguments: dict[str, msgspec.Struct]
     key: str
     digest: str
-    logged: LoggedRequest | None = None
 
 
 class Shape(msgspec.Struct, frozen=True, dict=True):
@@ -261,15 +251,13 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
                 digest = make_digest_of_request(
                     path, who.user or wire.read_header(request, "labos-user"), arguments
                 )
-            logged = None
+            asked, logged = AdmittedRequest(request, who, arguments, key, digest), None
             if key and not self.logs_key and api.service.marks is not None:
-                again = RepeatedRequest(api, self, request, who, arguments)
+                again = partial(answer_from_log, api, self, asked)
                 mark = mark_of(who.user, path, key)
-                logged = LoggedRequest(api.service.marks, mark, key, digest, again.answer)
+                logged = LoggedRequest(api.service.marks, mark, key, digest, again)
             if link is not None:
-                found = await link.answer(
-                    self, AdmittedRequest(request, who, arguments, key, digest, logged), work
-                )
+                found = await link.answer(self, asked, logged, work)
             elif key:
                 found = await api.idempotent.answer_once(
                     key, path, digest, work, user=who.user, logs_key=self.logs_key, logged=logged
@@ -305,9 +293,24 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
         if shape.body is not None:
             asker = who.actor if who.is_known else ""
             arguments["body"] = await wire.read_body(
-                request, api.arriving, shape.body, self.largest_body, asker=asker
+                request, api.arriving, shape.body, self.largest_body, asker
             )
         return arguments
+
+
+read = partial(Operation, needs="viewer")
+"""An operation that changes nothing."""
+
+change = partial(Operation, problems=("refused",))
+"""An operation with a command that the rules may forbid in the present state."""
+
+submit = partial(
+    Operation,
+    needs="submitter",
+    problems=("not_found", "refused", "spec_error", "spec_errors"),
+    largest_body=LARGEST_BODY,
+)
+"""An operation that reads files of a user, to plan or to submit."""
 
 
 def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:

@@ -6,11 +6,11 @@ generated from it.
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 import msgspec
 
+from labos.core.texts import make_code
 from labos.errors import LabosError, SpecError
 from labos.spec.findings import Finding, SpecErrors, make_finding
 
@@ -91,13 +91,9 @@ def make_problem_of_error(error: LabosError) -> Problem:
     findings = error.findings if isinstance(error, SpecErrors) else ()
     if isinstance(error, SpecError):
         return make_problem("spec_error", str(error), "", (make_finding(error),))
-    near = next(
-        make_code(kind)
-        for kind in type(error).__mro__
-        if issubclass(kind, LabosError) and make_code(kind) in PROBLEMS
-    )
+    codes = [make_code(kind.__name__) for kind in type(error).__mro__ if issubclass(kind, LabosError)]
+    near, code = next(code for code in codes if code in PROBLEMS), codes[0]
     found = make_problem(near, error.message, error.remedy, tuple(findings))
-    code = make_code(type(error))
     return msgspec.structs.replace(found, code=code, type=f"urn:labos:problem:{code}")
 
 
@@ -106,8 +102,3 @@ def describe_error(error: LabosError) -> dict[str, Any]:
     found = make_problem_of_error(error)
     details = msgspec.to_builtins(found.details)
     return {"error": found.detail, "remedy": found.remedy, "code": found.code, "details": details}
-
-
-def make_code(kind: type[LabosError]) -> str:
-    """``StoreUnavailable`` → ``store_unavailable``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).lower()

@@ -17,49 +17,46 @@ Page = Annotated[int, msgspec.Meta(ge=0, le=PAGE)]
 
 
 class OfRun(msgspec.Struct, frozen=True):
-    run: Annotated[Name, msgspec.Meta(description="a run's id", examples=["R1"])]
+    run: Annotated[Name, says("a run's id", "R1")]
 
 
 class OfExperiment(msgspec.Struct, frozen=True):
-    experiment: Annotated[Name, msgspec.Meta(description="an experiment's id", examples=["E1"])]
+    experiment: Annotated[Name, says("an experiment's id", "E1")]
 
 
 class OfCampaign(msgspec.Struct, frozen=True):
-    campaign: Annotated[Name, msgspec.Meta(description="a campaign's id", examples=["C1"])]
+    campaign: Annotated[Name, says("a campaign's id", "C1")]
 
 
 class OfIntervention(msgspec.Struct, frozen=True):
-    intervention: Annotated[Name, msgspec.Meta(description="a question's id", examples=["I1"])]
+    intervention: Annotated[Name, says("a question's id", "I1")]
 
 
 class OfModule(msgspec.Struct, frozen=True):
     module: Annotated[
         Name,
-        msgspec.Meta(
-            description="a module's name, with its workcell if several modules of the lab have this name",
-            examples=["rpl/sealer"],
-        ),
+        says("a module's name, with its workcell if several modules of the lab have this name", "rpl/sealer"),
     ]
 
 
 class OfWorkcell(msgspec.Struct, frozen=True):
-    workcell: Annotated[Name, msgspec.Meta(description="a workcell's name", examples=["rpl"])]
+    workcell: Annotated[Name, says("a workcell's name", "rpl")]
 
 
 class OfUser(msgspec.Struct, frozen=True):
-    user: Annotated[Name, msgspec.Meta(description="a user's id", examples=["ada"])]
+    user: Annotated[Name, says("a user's id", "ada")]
 
 
 class OfGroup(msgspec.Struct, frozen=True):
-    group: Annotated[Name, msgspec.Meta(description="a group's name", examples=["chemistry"])]
+    group: Annotated[Name, says("a group's name", "chemistry")]
 
 
 class OfLabware(msgspec.Struct, frozen=True):
-    labware: Annotated[Name, msgspec.Meta(description="labware, by its id or barcode", examples=["P7"])]
+    labware: Annotated[Name, says("labware, by its id or barcode", "P7")]
 
 
 class OfFile(msgspec.Struct, frozen=True):
-    sha256: Annotated[Name, msgspec.Meta(description="the SHA-256 of its content", examples=["ab" * 32])]
+    sha256: Annotated[Name, says("the SHA-256 of its content", "ab" * 32)]
 
 
 class StateQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -11,9 +11,7 @@ import asyncio
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import msgspec
 import structlog
-from starlette.requests import Request
 from starlette.responses import Response
 
 from labos.clock import Clock, Uuid7Ids
@@ -26,7 +24,6 @@ from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.errors import AlreadyDone, LabosError, StoreError
 from labos.http.feed import Feed
-from labos.http.identity import Who
 from labos.planning.scheduler import Scheduler
 from labos.ports import BlobStore, Bus
 from labos.runtime.followed import FoldedLab
@@ -36,7 +33,7 @@ from labos.runtime.registry import Registry
 from labos.services.log import Log, decode_event, fold_to
 
 if TYPE_CHECKING:
-    from labos.http.operation import Api, Operation
+    from labos.http.operation import AdmittedRequest, Api, Operation
     from labos.http.parts import Parts
 
 FURTHER = 5_000
@@ -89,13 +86,9 @@ class RecordedKernel(FoldedLab):
             return decision
         if decision == []:
             return []
-        return list(self._fold_next())
+        return list(self.fold_next())
 
-    def events_of_command(self) -> list[Event]:
-        """The events of the request's next command."""
-        return list(self._fold_next())
-
-    def _fold_next(self) -> Iterator[Event]:
+    def fold_next(self) -> Iterator[Event]:
         """The events of the request's next command; the state continues to the last of them."""
         cause = ""
         for record in self._records:
@@ -144,39 +137,32 @@ class _RecordedParts:
         """This was done when the request was carried out."""
 
 
-class RepeatedRequest(msgspec.Struct, frozen=True):
-    """A repeated request whose answer can be computed from the log."""
+async def answer_from_log(
+    api: Api, operation: Operation, asked: AdmittedRequest, mark: str, position: int
+) -> Response:
+    """The answer to a repeated request at the time when it was carried out; its first event contains ``mark``
+    and is at ``position``. Raises AlreadyDone if the log is not enough."""
+    from labos.http.operation import Call, respond
+    from labos.http.service import LabService
 
-    api: Api
-    operation: Operation
-    request: Request
-    who: Who
-    arguments: Mapping[str, msgspec.Struct]
+    log = api.service.parts.store
 
-    async def answer(self, mark: str, position: int) -> Response:
-        """Its answer at the time when it was carried out; its first event is at ``position``. Raises
-        AlreadyDone if the log is not enough."""
-        from labos.http.operation import Call, respond
-        from labos.http.service import LabService
+    def read() -> tuple[LabState, list[Record]]:
+        return fold_to(log, position - 1), list(log.read(position - 1, position + FURTHER))
 
-        log = self.api.service.parts.store
-
-        def read() -> tuple[LabState, list[Record]]:
-            return fold_to(log, position - 1), list(log.read(position - 1, position + FURTHER))
-
-        try:
-            async with _turn:  # folding a log takes a while
-                kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
-            if self.operation.recall is not None:
-                return respond(self.operation, self.operation.recall(kernel.events_of_command()))
-            parts = _RecordedParts(self.api.service.parts, kernel)
-            call = Call(self.api, self.request, self.who, LabService(parts, Feed()))
-            return await self.operation.call(call, self.arguments)
-        except StoreError:
-            raise
-        except Exception as error:
-            _log.info("answer_not_in_log", path=self.request.url.path, position=position, error=repr(error))
-            raise AlreadyDone(
-                f"This request was carried out at position {position}; its answer is no longer stored.",
-                remedy=f"See what it did: labos log --after {position - 1}",
-            ) from None
+    try:
+        async with _turn:  # folding a log takes a while
+            kernel = RecordedKernel(*await asyncio.to_thread(read), mark)
+        if operation.recall is not None:
+            return respond(operation, operation.recall(list(kernel.fold_next())))
+        parts = _RecordedParts(api.service.parts, kernel)
+        call = Call(api, asked.request, asked.who, LabService(parts, Feed()))
+        return await operation.call(call, asked.arguments)
+    except StoreError:
+        raise
+    except Exception as error:
+        _log.info("answer_not_in_log", path=asked.request.url.path, position=position, error=repr(error))
+        raise AlreadyDone(
+            f"This request was carried out at position {position}; its answer is no longer stored.",
+            remedy=f"See what it did: labos log --after {position - 1}",
+        ) from None

@@ -21,18 +21,18 @@ from labos.core.shorter import StationsChecked
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog
 from labos.errors import LabosError
-from labos.http.limits import Asker, Named, Names, says
+from labos.http.bodies import Asked
+from labos.http.limits import Named, Names, says
 from labos.http.stock import check
 
 if TYPE_CHECKING:
     from labos.http.service import LabService
 
 
-class RoundReport(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class RoundReport(Asked, kw_only=True):
     """A person's report on the round: the content of ``stations``, bottom to top, and the stations that are
     ``as_recorded``; ``finish``: the question that asks for the round is answered, if nothing is left."""
 
-    by: Asker = ""
     stations: Annotated[
         Named,
         says("the labware at each station, from bottom to top: ids, or types if the log has no id"),

@@ -39,7 +39,10 @@ async def register_samples(
     only = _find_plate(service, labware, station)
     plates = _sort_by_plate(service, rows, only, report)
     for plate, lines in plates.items():
-        await _check(service, service.kernel.state.bench.labware[plate], lines, report)
+        item = service.kernel.state.bench.labware[plate]
+        kind = service.find_labware_kind(item)
+        if kind is not None:  # nothing can be checked for a type without a description
+            await service.run_beside(0, check_wells, lines, item.type, kind.wells, report)
     if not rows and not report.errors:
         report.error("The sheet has no rows.", remedy="Write one for each sample.")
     if report.errors:
@@ -83,8 +86,6 @@ def _sort_by_plate(
                 report.error(answer.message, row.plate_at, field="plate", remedy=answer.remedy)
                 continue
             plate = answer
-        elif only is None:
-            plate = None
         if plate is None:
             remedy = "Add a column 'plate', or name the plate beside the sheet."
             report.error("The plate is missing.", row.at, field="plate", remedy=remedy)
@@ -101,13 +102,6 @@ def _find_labware(service: LabService, name: str) -> Labware | BadInput:
         return service.labware(name)
     except BadInput as error:
         return error
-
-
-async def _check(service: LabService, labware: Labware, rows: list[SheetLine], report: FindingList) -> None:
-    kind = service.find_labware_kind(labware)
-    # Nothing can be checked for a type without a description.
-    if kind is not None:
-        await service.run_beside(0, check_wells, rows, labware.type, kind.wells, report)
 
 
 def _pack(service: LabService, plate: LabwareId, rows: list[SheetLine]) -> PlateSamples:

@@ -14,6 +14,7 @@ from typing import Any
 import h11
 import msgspec
 import uvicorn
+from starlette.types import ASGIApp
 
 from labos.errors import BadInput
 from labos.http.app import create_app
@@ -175,20 +176,14 @@ class HttpServer:
         self.url = f"{'https' if tls else 'http'}://{host}:{bound[1]}"
         self.port = int(bound[1])
         self.app = create_app(service, gate, (host, *listening.names))
-        config = uvicorn.Config(
+        self._server = make_server(
             self.app,
+            tls,
             proxy_headers=listening.behind_proxy,
             forwarded_allow_ips="*" if listening.behind_proxy else "",
             http=type("_Limited", (_Protocol,), {"most_connections": _count_most_connections()}),
-            log_config=None,
-            access_log=False,
             lifespan="off",
-            timeout_graceful_shutdown=1,
-            ws="none",
         )
-        config.load()
-        config.ssl = tls
-        self._server = _Server(config)
         self._task: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
@@ -209,6 +204,16 @@ class HttpServer:
         if self._service.finder is not None:
             await self._service.finder.wait_closed()
         self._socket.close()
+
+
+def make_server(app: ASGIApp, tls: ssl.SSLContext | None, **options: Any) -> uvicorn.Server:
+    """A server that leaves signals to its process. ``options`` are those of ``uvicorn.Config``."""
+    config = uvicorn.Config(
+        app, log_config=None, access_log=False, timeout_graceful_shutdown=1, ws="none", **options
+    )
+    config.load()
+    config.ssl = tls
+    return _Server(config)
 
 
 def make_tls_context(listening: Listening) -> ssl.SSLContext | None:

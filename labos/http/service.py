@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,8 +15,6 @@ import msgspec
 
 from labos.core.bench import Labware, split_item
 from labos.core.canonical import digest
-from labos.core.decide import Command
-from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.composites import SubmitWithLabware
 from labos.core.decide.experiments import (
     EndExperiment,
@@ -29,7 +27,7 @@ from labos.core.decide.interventions import ResolveIntervention
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import RecordStops
 from labos.core.decide.rights import check_rights, check_role
-from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
+from labos.core.decide.runs import SubmitRun
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import (
     ExperimentId,
@@ -47,6 +45,7 @@ from labos.core.runs import RunSubmitted
 from labos.core.structs import make_from
 from labos.core.users import Role, find_person
 from labos.errors import BadInput, LabosError, NotFound, Refused, StoreError
+from labos.http.control import make_run_command
 from labos.http.feed import Feed
 from labos.http.limits import FileName, Files, FileText
 from labos.http.parts import Parts
@@ -88,6 +87,7 @@ STORIES_KEPT = 200
 LONG_TEXT = 64 * 1024
 """Reading a file with at least so many characters takes a while."""
 
+N = TypeVar("N", ModuleName, StationName)
 R = TypeVar("R")
 
 
@@ -98,6 +98,18 @@ class WorkflowText(msgspec.Struct, frozen=True):
     text: FileText
     name: FileName = "workflow"
     files: Files = {}
+
+
+class PlannedRun(msgspec.Struct, frozen=True):
+    """A compiled run that is not submitted yet. ``loads`` is the labware that was placed for it."""
+
+    run: SubmitRun
+    loads: tuple[LoadStation, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def command(self) -> SubmitRun | SubmitWithLabware:
+        return SubmitWithLabware(self.run, self.loads) if self.loads else self.run
 
 
 class LabService:
@@ -172,15 +184,20 @@ class LabService:
             )
         found = state.lab.workcells[name]
         if found not in self._cells:
-            self._cells[found] = Workcell(
-                name,
-                found,
-                tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
-                tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
-                tuple(state.lab.labware.get(name, {}).values()),
-                state.lab.transfers.get(name, ()),
-            )
+            self._cells[found] = self.read_workcell(name)
         return self._cells[found]
+
+    def read_workcell(self, name: str) -> Workcell:
+        """A workcell as the log has it; empty if it has none of this name."""
+        state = self.kernel.state
+        return Workcell(
+            name,
+            state.lab.workcells.get(name, ""),
+            tuple(m.spec for n, m in state.modules.by_name.items() if workcell_of(n) == name),
+            tuple(s.spec for n, s in state.bench.stations.items() if workcell_of(n) == name),
+            tuple(state.lab.labware.get(name, {}).values()),
+            state.lab.transfers.get(name, ()),
+        )
 
     def read_bench(self, workcell: str) -> BenchFile:
         """The labware types in the stacks now, and the modules that are not at rest although no run holds
@@ -286,28 +303,43 @@ class LabService:
             await self.kernel.flush()
             await asyncio.to_thread(expect_same_run, self.parts.store, request, known, whole)
             return str(known), ()
+        planned = await self.plan_run(asked, keep=True, whole=whole, request=request)
+        events = await self.kernel.execute(planned.command, asked.user)
+        run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
+        if run is None:
+            run = self.kernel.state.runs.requests[request]
+            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, whole)
+        return str(run), (*planned.findings, *self.without_gap(run))
+
+    async def plan_run(self, asked: NewRun, *, keep: bool = False, **given: Any) -> PlannedRun:
+        """The requested run, compiled. ``keep`` is as for ``compile``, ``given`` as for ``make_run``."""
         due_at = parse_due(asked.due, self.kernel.clock.now_ns())
         workcell = await self.find_workcell_for(asked.workflow, asked.workcell)
         loads = make_loads(self, asked.place, workcell, asked.user)
-        compiled = await self.compile(asked.workflow, asked.payload, workcell, loads)
-        pins = {**self.list_pins(asked.workflow, *compiled.plans), "request": whole}
-        run_command = make_from(
+        compiled = await self.compile(asked.workflow, asked.payload, workcell, loads, keep=keep)
+        run = self.make_run(asked, asked.workflow, compiled, due_at=due_at, **given)
+        return PlannedRun(run, tuple(loads), compiled.findings)
+
+    def make_run(
+        self,
+        asked: NewRun | NewRuns,
+        workflow: WorkflowText,
+        compiled: Compiled,
+        *,
+        whole: str = "",
+        **given: Any,
+    ) -> SubmitRun:
+        """The command for a requested run. ``whole`` is the digest of its request; ``given`` are values in
+        place of those in the request."""
+        return make_from(
             SubmitRun,
             asked,
             plan=compiled.plan,
             others=compiled.others,
             user=find_person(asked.user),
-            pins=pins,
-            request=request,
-            due_at=due_at,
+            pins={**self.list_pins(workflow, *compiled.plans), "request": whole},
+            **given,
         )
-        command = SubmitWithLabware(run_command, tuple(loads)) if loads else run_command
-        events = await self.kernel.execute(command, asked.user)
-        run = next((event.run for event in events if isinstance(event, RunSubmitted)), None)
-        if run is None:
-            run = self.kernel.state.runs.requests[request]
-            await asyncio.to_thread(expect_same_run, self.parts.store, request, run, whole)
-        return str(run), (*compiled.findings, *self.without_gap(run))
 
     def without_gap(self, run: RunId) -> list[Finding]:
         """Warnings about bookings of others that leave no time for the run: it would wait for a person."""
@@ -345,15 +377,9 @@ class LabService:
     async def change(self, run: str, verb: str, actor: str, *, stay: bool = False, why: str = "") -> None:
         """``cancel``, ``pause`` or ``resume`` a run. ``stay``: a cancelled run's labware stays where it is.
         ``why``: the reason for its cancellation, for the log."""
-        name = RunId(run)
-        commands: dict[str, Command] = {
-            "cancel": CancelRun(name, stay, why),
-            "pause": PauseRun(name, why),
-            "resume": ResumeRun(name),
-        }
         if self.kernel.state.runs.get(run) is None:
             await self.read_story(run)  # raises NotFound for an unknown run
-        await self.kernel.execute(commands[verb], actor)
+        await self.kernel.execute(make_run_command(verb, run, stay, why), actor)
 
     async def read_story(self, run: str, wait_s: float = 0.0) -> RunHistory:
         """A run according to the log; waits for its end for at most ``wait_s``. Raises NotFound."""
@@ -481,7 +507,9 @@ class LabService:
 
     def module(self, name: str) -> ModuleName:
         """A module by its full name, or by its local one if only one module has it. Raises NotFound."""
-        return ModuleName(self._find_one_of(name, list(self.kernel.state.modules.by_name), "module"))
+        names = list(self.kernel.state.modules.by_name)
+        found = [known for known in names if name in (known, local(known))]
+        return _find_only(found, name, names, "module")
 
     def labware(self, name: str) -> Labware:
         """A piece of labware on the bench, by its id or its barcode. Raises NotFound."""
@@ -507,27 +535,17 @@ class LabService:
             match for cell, specs in named.items() for match in Stations(cell, specs).list_matches(written)
         ]
         found = [station for station in found if local(station) == written] or found
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise BadInput(
-                f"{name!r} is the name of several stations.", remedy=f"Write {found[0]}, for example."
-            )
-        remedy = suggest_name(written, map(local, known), "station")
-        raise NotFound(f"This lab has no station {name!r}.", remedy=remedy)
+        return _find_only(found, name, known, "station")
 
-    @staticmethod
-    def _find_one_of(name: str, names: list[str] | list[ModuleName], what: str) -> str:
-        found = [known for known in names if name in (known, local(known))]
-        if len(found) == 1:
-            return str(found[0])
-        if found:
-            raise BadInput(
-                f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, for example."
-            )
-        raise NotFound(
-            f"This lab has no {what} {name!r}.", remedy=suggest_name(local(name), map(local, names), what)
-        )
+
+def _find_only(found: Sequence[N], name: str, known: Iterable[N], what: str) -> N:
+    """The only one of those ``found`` under a name. Raises NotFound, BadInput if there are several."""
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise BadInput(f"{name!r} is the name of several {what}s.", remedy=f"Write {found[0]}, for example.")
+    remedy = suggest_name(local(name), map(local, known), what)
+    raise NotFound(f"This lab has no {what} {name!r}.", remedy=remedy)
 
 
 def digest_files(files: Mapping[str, bytes]) -> dict[str, str]:

@@ -22,10 +22,13 @@ if TYPE_CHECKING:
     from labos.http.service import LabService
 
 
-class Load(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
+class LabwarePlacement(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     station: Annotated[Name, says("the station")]
     labware: Annotated[Name, says("its type")]
     by: Asker = ""
+
+
+class Load(LabwarePlacement, kw_only=True):
     count: Annotated[Count, says("the number of pieces; 1 if left out")] = 1
     lot: Annotated[Name, says("their lot, which each piece keeps as its variable `lot`")] = ""
 

@@ -22,11 +22,11 @@ from labos.core.envelope import Record
 from labos.core.structs import make_from
 from labos.core.viewer import Viewer
 from labos.core.words import list_references
-from labos.http.lines import line_of
 from labos.http.restricted import RestrictedCampaigns
-from labos.ports import LogQuery
+from labos.ports import EventLine, LogQuery
 from labos.services.filters import is_of_type
 from labos.services.shown import show_json
+from labos.services.times import iso_time
 
 if TYPE_CHECKING:
     # The process for followers starts without these imports.
@@ -253,6 +253,9 @@ class Tail:
     def _takes(self, wanted: StreamFilter, line: StreamLine) -> bool:
         return wanted.takes(line) and self._shows(wanted, line)
 
+    def _encode(self, wanted: StreamFilter, lines: Iterable[StreamLine]) -> bytes:
+        return _encode_lines(line for line in lines if self._takes(wanted, line))
+
     def _shows(self, wanted: StreamFilter, line: StreamLine) -> bool:
         return self._restricted.shows(wanted.viewer, line.type, line.stream, line.correlation)
 
@@ -266,7 +269,7 @@ class Tail:
     async def _catch_up(self, me: _Follower) -> bytes:
         """The events that a follower has missed, or a page of them; it is live if there are no more."""
         if me.query.last is None and (me.after > self._end or self._holds_after(me.after)):
-            piece = _encode_lines(line for line in self._list_since(me.after) if self._takes(me.filter, line))
+            piece = self._encode(me.filter, self._list_since(me.after))
             me.after, me.live = max(me.after, self._end), True
             return piece
         upto = self._durable()
@@ -304,18 +307,15 @@ class Tail:
         self._flushed = self._end
         pieces: dict[StreamFilter, bytes] = {}
         for follower in self._followers:
-            if not follower.live:
-                continue
-            if follower.after >= self._end:
+            if not follower.live or follower.after >= self._end:
                 continue
             mine = follower.filter
             if new and follower.after >= new[0].position:
-                later = (line for line in new if line.position > follower.after)
-                piece = _encode_lines(line for line in later if self._takes(mine, line))
+                piece = self._encode(mine, (line for line in new if line.position > follower.after))
             elif mine in pieces:
                 piece = pieces[mine]
             else:
-                piece = pieces[mine] = _encode_lines(line for line in new if self._takes(mine, line))
+                piece = pieces[mine] = self._encode(mine, new)
             follower.give(piece, self._end)
 
     def _list_since(self, after: int) -> list[StreamLine]:
@@ -348,10 +348,14 @@ class Tail:
 
 def _make_line(record: Record) -> StreamLine:
     head = record.head
-    data = msgspec.json.encode(line_of(record))
-    return StreamLine(
-        head.position, head.type, head.stream, head.correlation, head.actor, record.payload, data
+    line = make_from(
+        EventLine,
+        head,
+        time=iso_time(head.recorded_at),
+        payload=msgspec.Raw(record.payload),
+        hash=record.hash.hex(),
     )
+    return make_from(StreamLine, head, payload=record.payload, data=msgspec.json.encode(line))
 
 
 def _cut(lines: Iterable[StreamLine]) -> tuple[list[StreamLine], bool]:

@@ -59,14 +59,13 @@ def make_locations(module: Module) -> dict[str, LocationPose]:
     written = module.spec.config
     found = {name: LocationPose(tuple(pose), 0, True) for name, pose in written.get("poses", {}).items()}
     for station, lessons in module.taught.items():
-        if lessons.any_type is not None:
-            found[local(station)] = make_from(LocationPose, lessons.any_type)
+        if "" in lessons:
+            found[local(station)] = make_from(LocationPose, lessons[""])
     for kind, poses in written.get("poses_of", {}).items():
         for name, pose in poses.items():
             found[name].types[kind] = TaughtPose(tuple(pose), 0, True)
     for station, lessons in module.taught.items():
-        for kind, taught in lessons.by_type.items():
-            # The workcell file may no longer have a pose for the station itself.
-            own = found.setdefault(local(station), LocationPose())
-            own.types[kind] = make_from(TaughtPose, taught)
+        # The workcell file may no longer have a pose for the station itself.
+        own = found.setdefault(local(station), LocationPose())
+        own.types |= {kind: make_from(TaughtPose, taught) for kind, taught in lessons.items() if kind}
     return found

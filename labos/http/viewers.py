@@ -22,7 +22,7 @@ import structlog
 from labos.core.envelope import Record
 from labos.core.viewer import Viewer
 from labos.errors import LabosError
-from labos.http.ends import StreamEnd
+from labos.http.ends import OpenStreams, StreamEnd
 from labos.http.tail import PAGE, RETRY, STREAM_HEADERS, STREAM_TYPE, Tail
 from labos.ports import LogQuery
 from labos.store import open_store
@@ -45,7 +45,7 @@ HEAD = b"HTTP/1.1 200 OK\r\ncontent-type: %b; charset=utf-8\r\n%bconnection: clo
 _log = structlog.get_logger(__name__)
 
 
-class OpenLog(msgspec.Struct, frozen=True, tag="begin"):
+class OpenLog(msgspec.Struct, frozen=True):
     """Where the log is. A URL may contain a password, so it is not passed on the command line."""
 
     database: str
@@ -74,7 +74,7 @@ class Cut(msgspec.Struct, frozen=True, tag="cut"):
     key: str
 
 
-Message = OpenLog | Grown | Follow | Cut
+Message = Grown | Follow | Cut
 _encode = msgspec.json.Encoder().encode
 _decoder: msgspec.json.Decoder[Message] = msgspec.json.Decoder(Message)
 
@@ -200,7 +200,7 @@ class _Server:
         self._most = resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2
         """The largest number of followers: the process needs files of its own, and its memory is limited."""
         self._tasks: set[asyncio.Task[None]] = set()
-        self._ends: dict[str, set[StreamEnd]] = {}
+        self._ends = OpenStreams()
 
     def handle_message(self, message: Message, fds: Sequence[int]) -> None:
         match message:
@@ -208,20 +208,20 @@ class _Server:
                 if len(self._tasks) >= self._most:
                     os.close(fds[0])
                     return
-                end = StreamEnd(lasts_s) if key else None
-                if end is not None:  # at once: the next message may report its end
-                    self._ends.setdefault(key, set()).add(end)
+                # At once: the next message may report its end.
+                end = self._ends.begin(key, lasts_s) if key else None
                 task = asyncio.get_running_loop().create_task(
                     self._serve(socket.socket(fileno=fds[0]), message, end)
                 )
                 self._tasks.add(task)
                 task.add_done_callback(self._tasks.discard)
             case Cut(key):
-                for end in self._ends.pop(key, ()):
-                    end.come()
+                self._ends.cut(key)
             case Grown(durable):
                 self.durable = max(self.durable, durable)
                 self._grown.set()
+            case Follow() | OpenLog():
+                pass  # its connection did not come with the packet; the log is open already
 
     async def keep_up(self) -> None:
         """Read new events and send them, without end."""
@@ -261,14 +261,7 @@ class _Server:
         finally:
             gone.cancel()
             if end is not None:
-                end.forget()
-                self._leave(follow.key, end)
-
-    def _leave(self, key: str, end: StreamEnd) -> None:
-        left = self._ends.get(key, set())
-        left.discard(end)
-        if not left:
-            self._ends.pop(key, None)
+                self._ends.forget(follow.key, end)
 
 
 async def _await_end(reader: asyncio.StreamReader) -> None:
@@ -279,38 +272,33 @@ async def _await_end(reader: asyncio.StreamReader) -> None:
 
 
 async def serve(link: socket.socket) -> None:
-    """Serve followers until the kernel closes the link."""
+    """Serve followers until the kernel closes the link. The first message says where the log is."""
+    begin = link.recv(PACKET)
+    if not begin:
+        return
+    server = _Server(msgspec.json.decode(begin, type=OpenLog))
     link.setblocking(False)
     loop = asyncio.get_running_loop()
     over = loop.create_future()
-    server: _Server | None = None
-    keeping: asyncio.Task[None] | None = None
 
     def receive() -> None:
-        nonlocal server, keeping
         while not over.done():
             try:
                 packet, fds, _, _ = socket.recv_fds(link, PACKET, 1)
             except BlockingIOError:
                 return
             except OSError:
-                packet = b""
-                fds = []
-            if not packet:
+                packet, fds = b"", []
+            if packet:
+                server.handle_message(_decoder.decode(packet), fds)
+            else:
                 over.set_result(None)
-                return
-            message = _decoder.decode(packet)
-            if isinstance(message, OpenLog):
-                server = _Server(message)
-                keeping = loop.create_task(server.keep_up())
-            elif server is not None:
-                server.handle_message(message, fds)
 
     loop.add_reader(link, receive)
     receive()
+    keeping = loop.create_task(server.keep_up())
     await over
-    if keeping is not None:
-        keeping.cancel()
+    keeping.cancel()
 
 
 if __name__ == "__main__":

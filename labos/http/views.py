@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 from typing import Annotated, Any, Protocol
 
 import msgspec
@@ -30,6 +31,7 @@ from labos.core.structs import make_from
 from labos.core.topics import Choice
 from labos.core.waits import Wait
 from labos.http.lab_kernel import LabKernel
+from labos.http.notes import Notes
 from labos.planning.due import find_time_left
 from labos.planning.forecast import find_setup_in_progress
 from labos.planning.obstacle import explain_wait
@@ -48,15 +50,6 @@ OldName = Annotated[
 """A deprecated field for older programs."""
 
 _log = structlog.get_logger(__name__)
-
-
-class NodeProcess(Protocol):
-    """A node's process as its supervisor reports it."""
-
-    state: str
-    pid: int
-    starts: int
-    why: str
 
 
 class Supervised(Protocol):
@@ -260,37 +253,26 @@ class LabView(msgspec.Struct, frozen=True):
     resources: dict[str, LevelView]
 
 
-def make_lab_view(
-    kernel: LabKernel,
-    *,
-    simulated: bool,
-    rejected: Mapping[str, str],
-    supervised: Mapping[str, Any],
-    waits: bool = True,
-    hidden: frozenset[CampaignId] = frozenset(),
-) -> LabView:
+def make_lab_view(kernel: LabKernel, notes: Notes, *, waits: bool, hidden: frozenset[CampaignId]) -> LabView:
     """The present state of the lab, without the runs of the campaigns ``hidden``."""
     state, now = kernel.state, kernel.clock.now_ns()
-    queued = list(state.runs.queued.values())
-    seen = [run for run in queued if run.campaign not in hidden] if hidden else queued
     runs = [run for run in state.runs.active.values() if run.campaign not in hidden]
-    runs += seen[:QUEUED_SHOWN]
+    runs += islice((run for run in state.runs.queued.values() if run.campaign not in hidden), QUEUED_SHOWN)
     flying = {(action.run, action.step): action for action in state.actions.open.values()}
     return LabView(
-        lab=_make_lab_info(state, simulated),
+        lab=_make_lab_info(state, notes.simulated),
         position=state.position,
         now=now,
         modules=[
-            make_module_view(name, module, state, rejected, supervised)
-            for name, module in state.modules.by_name.items()
+            _make_module_view(name, module, state, notes) for name, module in state.modules.by_name.items()
         ],
-        stations=[make_station_view(name, station) for name, station in state.bench.stations.items()],
+        stations=[_make_station_view(name, station) for name, station in state.bench.stations.items()],
         labware=[
             make_from(LabwareView, item, station=local(item.station), maybe=list(map(local, item.maybe)))
             for item in state.bench.labware.values()
         ],
         runs=[run_view(kernel, run, now, flying, waits=waits) for run in runs],
-        queued=len(queued),
+        queued=len(state.runs.queued),
         interventions=[make_question_view(state, asked) for asked in state.interventions.open.values()],
         experiments=[
             make_from(ExperimentView, item, runs=list(item.runs)) for item in state.experiments.open.values()
@@ -316,12 +298,10 @@ def _make_lab_info(state: LabState, simulated: bool) -> LabInfo:
     )
 
 
-def make_module_view(
-    name: str, module: Module, state: LabState, rejected: Mapping[str, str], supervised: Mapping[str, Any]
-) -> ModuleView:
-    process = supervised.get(name)
+def _make_module_view(name: str, module: Module, state: LabState, notes: Notes) -> ModuleView:
+    process = notes.supervised.get(name)
     doing = [state.actions.open[action] for action in module.in_flight if action in state.actions.open]
-    problem = module.out_of_service or rejected.get(name, "") or module.error
+    problem = module.out_of_service or notes.rejected.get(name, "") or module.error
     if process is not None and process.state == "quarantined":
         problem = f"given up after {process.failures} failures: {process.why}"
     return ModuleView(
@@ -336,17 +316,14 @@ def make_module_view(
         simulated=module.simulated,
         variables=module.values,
         doing=[ModuleAction(a.name, a.run, a.requested_at, a.status) for a in doing],
-        process=None if process is None else ProcessView(process.state, process.pid, process.starts),
+        process=None if process is None else make_from(ProcessView, process),
         calibrations=list_calibrations(module),
     )
 
 
 def list_calibrations(module: Module) -> list[CalibrationView]:
     """The last calibrations of a module, one for each ``what``."""
-    return [
-        CalibrationView(what, one.certificate, one.until, one.file, one.by, one.at)
-        for what, one in sorted(module.calibrations.items())
-    ]
+    return [make_from(CalibrationView, one, what=what) for what, one in sorted(module.calibrations.items())]
 
 
 def make_question_view(state: LabState, question: Intervention) -> QuestionView:
@@ -360,16 +337,15 @@ def make_question_view(state: LabState, question: Intervention) -> QuestionView:
     )
 
 
-def make_station_view(name: str, station: StationState) -> StationView:
-    return StationView(
+def _make_station_view(name: str, station: StationState) -> StationView:
+    return make_from(
+        StationView,
+        station.spec,
         name=name,
-        kind=station.spec.kind,
-        capacity=station.spec.capacity,
         known=station.known,
         labware=list(station.labware),
         stock=len(station.stock),
         level=station.level,
-        hotel=station.spec.hotel,
     )
 
 

@@ -19,7 +19,6 @@ from labos.http.limits import (
     LONGEST_NAME,
     LONGEST_PERSON,
     MOST_FILTERS,
-    SMALL_BODY,
     asker_of,
     check_fields,
     check_person,
@@ -43,9 +42,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 _log = structlog.get_logger(__name__)
 
 
-async def read_body(
-    request: Request, arriving: BodyReader, kind: type[T], most: int = SMALL_BODY, *, asker: str = ""
-) -> T:
+async def read_body(request: Request, arriving: BodyReader, kind: type[T], most: int, asker: str) -> T:
     """The request's JSON, checked against the limits. The signed-in user replaces the name in the field
     ``asker``. Raises BadInput."""
     raw = await arriving.read(request, most)
@@ -102,7 +99,8 @@ def _explain_error(error: Exception) -> str:
             return "it is not UTF-8"
         case msgspec.MsgspecError():
             return explain_plainly(error, FORMS)
-    return str(error)
+        case _:
+            return str(error)
 
 
 def read_asker(request: Request) -> str:
@@ -160,21 +158,14 @@ async def answer_labos_error(request: Request, error: LabosError) -> Response:
 
 
 async def answer_http_error(request: Request, error: HTTPException) -> Response:
-    code = OF_STATUS.get(error.status_code, "bad_input")
-    found = send_problem(
-        msgspec.structs.replace(make_problem(code, _describe_http_error(request, code, error.detail)))
-    )
+    code, path = OF_STATUS.get(error.status_code, "bad_input"), request.url.path[:LONGEST_NAME]
+    details = {
+        "not_found": f"There is nothing at {path!r}.",
+        "method_not_allowed": f"{path!r} does not support {request.method[:20]!r}.",
+    }
+    found = send_problem(make_problem(code, details.get(code, error.detail)))
     found.headers.update(error.headers or {})
     return found
-
-
-def _describe_http_error(request: Request, code: str, detail: str) -> str:
-    path = request.url.path[:LONGEST_NAME]
-    if code == "not_found":
-        return f"There is nothing at {path!r}."
-    if code == "method_not_allowed":
-        return f"{path!r} does not support {request.method[:20]!r}."
-    return detail
 
 
 async def report_fault(request: Request, error: Exception) -> Response:

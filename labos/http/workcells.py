@@ -3,15 +3,14 @@ none."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
 from labos.core.decide.lab import list_obstacles
-from labos.core.ids import local, workcell_of
-from labos.core.model import ModuleSpec, StationSpec, Workcell
-from labos.core.state import LabState
+from labos.core.ids import local
+from labos.core.model import LabwareSpec, ModuleSpec, StationSpec, Workcell
 from labos.errors import BadInput, Refused
 from labos.http.bodies import WorkcellFile
 from labos.http.service import LabService
@@ -58,21 +57,21 @@ async def apply_workcell(service: LabService, file: WorkcellFile, by: str) -> Wo
     sent = {**file.labware, **file.files}
     size = len(file.text) + sum(map(len, sent.values()))
     compiled = await service.run_beside(size, parse_workcell, file.text, descriptions, file.name, sent)
-    new, state = compiled.workcell, service.kernel.state
+    new = compiled.workcell
     _refuse_on_site(service, new)
-    blockers = tuple(f"{found.message} {found.remedy}".strip() for found in list_obstacles(state, new))
-    before = _make_applied(state, new.name)
+    obstacles = list_obstacles(service.kernel.state, new)
+    blockers = tuple(f"{found.message} {found.remedy}".strip() for found in obstacles)
+    before = service.read_workcell(new.name)
+    had, has = _sort_by_name(before.modules), _sort_by_name(new.modules)
     found = WorkcellChange(
         new.name,
         False,
-        _make_difference(_sort_by_name(before.modules), _sort_by_name(new.modules)),
+        _make_difference(had, has),
         _make_difference(_sort_by_name(before.stations), _sort_by_name(new.stations)),
         _make_difference(_list_poses(before), _list_poses(new)),
-        _make_difference(
-            {kind.name: kind for kind in before.labware}, {kind.name: kind for kind in new.labware}
-        ),
+        _make_difference(_sort_by_name(before.labware), _sort_by_name(new.labware)),
         blockers,
-        _describe_changes(_sort_by_name(before.modules), _sort_by_name(new.modules)),
+        _describe_changes(had, has),
         compiled.findings,
         _make_difference(_list_ways(before), _list_ways(new)),
     )
@@ -83,8 +82,8 @@ async def apply_workcell(service: LabService, file: WorkcellFile, by: str) -> Wo
     await service.apply(compiled, by, declare=service.parts.simulated)
     other_nodes = [
         module.name
-        for module in before.modules
-        if (spec := _sort_by_name(new.modules).get(local(module.name))) is not None
+        for name, module in had.items()
+        if (spec := has.get(name)) is not None
         and (spec.driver, spec.config, spec.regrip) != (module.driver, module.config, module.regrip)
     ]
     service.parts.follow_workcells(other_nodes)
@@ -109,30 +108,14 @@ def _refuse_on_site(service: LabService, new: Workcell) -> None:
             )
 
 
-def _list_connection(spec: ModuleSpec) -> tuple[str, Any, Any, Any, Any]:
+def _list_connection(spec: ModuleSpec) -> tuple[Any, ...]:
     """The fields that determine how a module's device is reached."""
-    config = spec.config
-    return (
-        spec.driver,
-        config.get("interface"),
-        config.get("config"),
-        config.get("about"),
-        config.get("extends"),
-    )
+    return (spec.driver, *map(spec.config.get, ("interface", "config", "about", "extends")))
 
 
-def _make_applied(state: LabState, cell: str) -> Workcell:
-    return Workcell(
-        cell,
-        state.lab.workcells.get(cell, ""),
-        tuple(m.spec for name, m in state.modules.by_name.items() if workcell_of(name) == cell),
-        tuple(s.spec for name, s in state.bench.stations.items() if workcell_of(name) == cell),
-        tuple(state.lab.labware.get(cell, {}).values()),
-        state.lab.transfers.get(cell, ()),
-    )
-
-
-def _sort_by_name(specs: tuple[ModuleSpec, ...] | tuple[StationSpec, ...]) -> dict[str, Any]:
+def _sort_by_name(
+    specs: Sequence[ModuleSpec] | Sequence[StationSpec] | Sequence[LabwareSpec],
+) -> dict[str, Any]:
     return {local(spec.name): spec for spec in specs}
 
 

@@ -27,7 +27,7 @@ from labos.errors import (
     WrongDevice,
 )
 from labos.link.can import CanLink, CanMessage, SdoLink
-from labos.link.device import DeviceOnLine, HearingDevice, TimedDevice
+from labos.link.device import DeviceOnLine, ReceivingDevice, TimedDevice
 from labos.link.farend import FarEnd, PtyEnd, TcpEnd, replay, serial_end, server_at
 from labos.link.framing import BadFrame, Checked, Framing, LengthPrefixed, Terminated
 from labos.link.line import Link
@@ -58,7 +58,6 @@ __all__ = [
     "Framing",
     "Garbled",
     "HalfReply",
-    "HearingDevice",
     "HttpLink",
     "HttpReply",
     "LengthPrefixed",
@@ -70,6 +69,7 @@ __all__ = [
     "NotConnected",
     "OffScript",
     "PtyEnd",
+    "ReceivingDevice",
     "ScriptedHttp",
     "ScriptedWire",
     "SdoLink",

@@ -93,40 +93,31 @@ class CanLink(_Bus):
         self, question: CanMessage, answers: Callable[[CanMessage], bool], timeout_s: float = 1.0
     ) -> CanMessage:
         """Raises NotConnected (nothing was sent), LinkLost, NoReply."""
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            with self._judge():
-                while self._next(0.0) is not None:
-                    pass  # messages before the question are no answer to it
-                deadline = time.monotonic() + timeout_s
-                self._put(question)
-                while (message := self._next(max(deadline - time.monotonic(), 0.0))) is not None:
-                    if answers(message):
-                        return message
-                raise NoReply(
-                    f"{self.name}: nothing answered {question}.",
-                    remedy="Check that the device is switched on, and the bus's speed and termination.",
-                )
+        with self._in_turn():
+            while self._next(0.0) is not None:
+                pass  # messages before the question are no answer to it
+            deadline = time.monotonic() + timeout_s
+            self._put(question)
+            while (message := self._next(max(deadline - time.monotonic(), 0.0))) is not None:
+                if answers(message):
+                    return message
+            raise NoReply(
+                f"{self.name}: nothing answered {question}.",
+                remedy="Check that the device is switched on, and the bus's speed and termination.",
+            )
 
     def send(self, message: CanMessage) -> None:
         """Raises NotConnected, LinkLost."""
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            with self._judge():
-                self._put(message)
+        with self._in_turn():
+            self._put(message)
 
     def receive(self, timeout_s: float) -> CanMessage:
         """The next message of any device. Raises NotConnected, LinkLost, NoReply."""
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            with self._judge():
-                message = self._next(timeout_s)
-                if message is None:
-                    raise NoReply(f"{self.name} is silent.")
-                return message
+        with self._in_turn():
+            message = self._next(timeout_s)
+            if message is None:
+                raise NoReply(f"{self.name} is silent.")
+            return message
 
     def _put(self, message: CanMessage) -> None:
         import can
@@ -185,17 +176,14 @@ class SdoLink(_Bus):
         self._do(lambda client: client.download(index, subindex, data), index, subindex, timeout_s)
 
     def _do(self, work: Callable[[Any], Any], index: int, subindex: int, timeout_s: float) -> Any:
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            with self._judge():
-                time.sleep(max(self._failed_at + self._late_s - time.monotonic(), 0.0))
-                self._client.RESPONSE_TIMEOUT = timeout_s
-                try:
-                    return self._ask(work, f"object {index:04X}:{subindex:02X}")
-                except (NoReply, StrayReply):
-                    self._failed_at = time.monotonic()
-                    raise
+        with self._in_turn():
+            time.sleep(max(self._failed_at + self._late_s - time.monotonic(), 0.0))
+            self._client.RESPONSE_TIMEOUT = timeout_s
+            try:
+                return self._ask(work, f"object {index:04X}:{subindex:02X}")
+            except (NoReply, StrayReply):
+                self._failed_at = time.monotonic()
+                raise
 
     def _ask(self, work: Callable[[Any], Any], what: str) -> Any:
         """The only place where errors of canopen are translated."""
@@ -272,8 +260,8 @@ class SdoLink(_Bus):
         self._client.network = self._network
         self._network.subscribe(0x580 + self.node, self._client.on_response)
         if self._emergency is not None:
-            tell = self._emergency
-            self._network.subscribe(0x80 + self.node, lambda _, data, __: tell(bytes(data)))
+            report = self._emergency
+            self._network.subscribe(0x80 + self.node, lambda _, data, __: report(bytes(data)))
 
     def _disconnect(self) -> None:
         network, self._network = self._network, None

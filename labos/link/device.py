@@ -108,9 +108,9 @@ class TimedDevice:
                     _log.exception("simulated_device_failed", device=self.name)
 
 
-class HearingDevice(TimedDevice):
+class ReceivingDevice(TimedDevice):
     """A device at the far end of a line (``far_end``, which subclasses set). Subclasses implement the
-    reaction to received bytes (``hear``)."""
+    reaction to received bytes (``receive``)."""
 
     far_end: FarEnd
 
@@ -125,20 +125,20 @@ class HearingDevice(TimedDevice):
 
     def listen(self, timeout_s: float) -> None:
         if data := self.far_end.read(timeout_s):
-            self.hear(data)
+            self.receive(data)
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """Bytes were received."""
         raise NotImplementedError
 
-    def say(self, data: bytes) -> None:
+    def send(self, data: bytes) -> None:
         self.far_end.write(data)
 
 
-class DeviceOnLine(HearingDevice):
+class DeviceOnLine(ReceivingDevice):
     """A device on a line with a bench around it. Subclasses implement the reaction to each received line
-    (``obey``) or to received bytes (``hear``), and plan later work with ``after``. ``line_end`` is the end of
-    received and sent lines.
+    (``obey``) or to received bytes (``receive``), and plan later work with ``after``. ``line_end`` is the end
+    of received and sent lines.
     """
 
     line_end = b"\r\n"
@@ -157,7 +157,7 @@ class DeviceOnLine(HearingDevice):
         """A line was received; it is given without its end."""
         raise NotImplementedError
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         *lines, self._line = (self._line + data).split(self.line_end)
         for line in lines:
             self.obey(line.decode("ascii", "replace"))
@@ -166,6 +166,6 @@ class DeviceOnLine(HearingDevice):
         """The name in the world of a station of this device."""
         return self._place(station)
 
-    def tell(self, line: str) -> None:
+    def send_line(self, line: str) -> None:
         """Send a line."""
-        self.say(line.encode("ascii") + self.line_end)
+        self.send(line.encode("ascii") + self.line_end)

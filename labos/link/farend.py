@@ -184,14 +184,14 @@ def replay(
     the part of the transcript that was not played.
     """
     left = read_exchanges(script)
-    heard = b""
+    received = b""
     while left:
         if left[0].mark == "<":
             end.write(left.pop(0).data)
             continue
         wanted = left[0].data
-        if heard.startswith(wanted):
-            heard = heard[len(wanted) :]
+        if received.startswith(wanted):
+            received = received[len(wanted) :]
             left.pop(0)
             continue
         for _ in range(max(int(patience_s / 0.05), 1)):
@@ -200,7 +200,7 @@ def replay(
                 break
         else:
             return left
-        heard += data
-        if not (wanted.startswith(heard) or heard.startswith(wanted)):
+        received += data
+        if not (wanted.startswith(received) or received.startswith(wanted)):
             return left
     return []

@@ -106,6 +106,15 @@ class Life(ABC):
             )
 
     @contextlib.contextmanager
+    def _in_turn(self) -> Iterator[None]:
+        """One exchange at a time, on a link that is opened before if need be."""
+        with self._lock:
+            if not self._is_open:
+                self.open()
+            with self._judge():
+                yield
+
+    @contextlib.contextmanager
     def _judge(self) -> Iterator[None]:
         """Record errors in the transcript, and close a lost connection."""
         try:

@@ -78,11 +78,8 @@ class Link(Life):
     def receive(self, timeout_s: float) -> bytes:
         """The next message of the device, with or without a question. Raises the errors of ``exchange``; they
         say that nothing was sent."""
-        with self._lock:
-            if not self._is_open:
-                self.open()
-            with self._judge(), _report_nothing_sent():
-                return self._next(time.monotonic() + timeout_s)
+        with self._in_turn(), _report_nothing_sent():
+            return self._next(time.monotonic() + timeout_s)
 
     def drain(self) -> None:
         """Discard the received bytes, but pass on messages that came without a question. Raises LinkLost."""

@@ -5,12 +5,10 @@ of its own token.
 from __future__ import annotations
 
 import asyncio
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextvars import ContextVar
 
 import structlog
-import uvicorn
 from mcp.server.transport_security import TransportSecurityMiddleware, TransportSecuritySettings
 from starlette.requests import Request
 from starlette.responses import Response
@@ -21,6 +19,7 @@ from labos.errors import BadInput, Forbidden, LabosError, NotSignedIn
 from labos.http.identity import BEHALF
 from labos.http.problems import make_problem_of_error
 from labos.http.server import Listening, is_own_address, listen, make_tls_context
+from labos.http.server import make_server as make_http_server
 from labos.http.wire import send_problem
 from labos.mcp.server import make_server, sign_in
 from labos.services.accounts import TOKEN
@@ -59,29 +58,13 @@ def serve(url: str, home: str | None, listening: Listening, tell: Callable[[str]
         )
     tls = make_tls_context(listening)
     socket = listen(listening.host, listening.port)
-    config = uvicorn.Config(
-        make_app(url, home, listening),
-        log_config=None,
-        access_log=False,
-        limit_concurrency=AT_ONCE,
-        timeout_graceful_shutdown=1,
-        ws="none",
-    )
-    config.load()
-    config.ssl = tls
+    server = make_http_server(make_app(url, home, listening), tls, limit_concurrency=AT_ONCE)
     scheme = "https" if tls else "http"
     tell(f"{scheme}://{listening.host}:{socket.getsockname()[1]}{PATH}")
     try:
-        _Server(config).run([socket])
+        server.run([socket])
     finally:
         socket.close()
-
-
-class _Server(uvicorn.Server):
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        """Do nothing: the command handles signals."""
-        yield
 
 
 class _Callers:

@@ -9,12 +9,15 @@ from typing import Any
 from labos.client import LabClient
 from labos.mcp.pages import LONGEST, cut, encode_answer
 
+USER = "agent"
+"""The name under which an agent proposes in a lab without users."""
+
 
 class Plan:
     """Tools that check a workflow or a campaign before it is proposed."""
 
-    def __init__(self, lab: LabClient, user: str) -> None:
-        self._lab, self._user = lab, user
+    def __init__(self, lab: LabClient) -> None:
+        self._lab = lab
 
     def check_workflow(
         self,
@@ -30,7 +33,7 @@ class Plan:
         checked = self._lab.check(
             workflow_of(workflow, files),
             payload=payload or {},
-            user=self._user,
+            user=USER,
             workcell=workcell,
             priority=priority,
             propose=True,
@@ -47,7 +50,7 @@ class Plan:
         """Checks the text of a campaign (YAML) row by row with the text of its workflow, and estimates what
         all rows need. Nothing is submitted. `tables` are the texts of the tables that it names, by name."""
         checked = self._lab.submit_campaign(
-            campaign_of(campaign, workflow, tables, files), user=self._user, dry_run=True
+            campaign_of(campaign, workflow, tables, files), user=USER, dry_run=True
         )
         return encode_answer(cut(checked["estimate"], LONGEST))
 

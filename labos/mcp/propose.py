@@ -6,7 +6,7 @@ from typing import Any
 
 from labos.client import LabClient
 from labos.mcp.pages import encode_answer
-from labos.mcp.plan import campaign_of, workflow_of
+from labos.mcp.plan import USER, campaign_of, workflow_of
 
 WAITS = "It has not started; it starts only if an operator approves it."
 
@@ -15,8 +15,8 @@ class Propose:
     """Tools for submissions that always wait for an approval, also if the lab's policy and the token do not
     require it."""
 
-    def __init__(self, lab: LabClient, user: str) -> None:
-        self._lab, self._user = lab, user
+    def __init__(self, lab: LabClient) -> None:
+        self._lab = lab
 
     def propose_run(
         self,
@@ -33,7 +33,7 @@ class Propose:
         run = self._lab.submit(
             workflow_of(workflow, files),
             payload or {},
-            user=self._user,
+            user=USER,
             workcell=workcell,
             priority=priority,
             request=key,
@@ -53,7 +53,7 @@ class Propose:
         operator has approved it; you cannot start it. Check it first with `check_campaign`. Two proposals
         with the same `key` count as one."""
         answer = self._lab.submit_campaign(
-            campaign_of(campaign, workflow, tables, files), user=self._user, request=key, propose=True
+            campaign_of(campaign, workflow, tables, files), user=USER, request=key, propose=True
         )
         return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
 
@@ -62,6 +62,6 @@ class Propose:
         original, such as C3, which may have ended; `name` is the name of the copy. It waits until an operator
         has approved it; you cannot start it. Two proposals with the same `key` count as one."""
         answer = self._lab.clone_campaign(
-            campaign, self._user, request=key, name=name, priority=priority, propose=True
+            campaign, USER, request=key, name=name, priority=priority, propose=True
         )
         return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)

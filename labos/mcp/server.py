@@ -18,9 +18,6 @@ from labos.version import VERSION
 if TYPE_CHECKING:
     from mcp.server.mcpserver import MCPServer
 
-USER = "agent"
-"""The name under which an agent proposes in a lab without users."""
-
 INSTRUCTIONS = (
     "LabOS runs a laboratory with real instruments. You can look at it, check workflows and campaigns, and "
     "propose them. What you propose waits until a person has approved it: you cannot start, approve, change "
@@ -69,8 +66,8 @@ def make_server(lab: LabClient | Callable[[], LabClient]) -> MCPServer[Any]:
     ask = (lambda: lab) if isinstance(lab, LabClient) else lab
     groups: tuple[tuple[Callable[[LabClient], Any], tuple[str, ...], bool], ...] = (
         (Look, LOOK, True),
-        (lambda found: Plan(found, USER), PLAN, True),
-        (lambda found: Propose(found, USER), PROPOSE, False),
+        (Plan, PLAN, True),
+        (Propose, PROPOSE, False),
     )
     for group, names, only_looks in groups:
         for name in names:

@@ -36,27 +36,28 @@ class Admission:
     """The admission of requests for one module in the lab ``lab``."""
 
     def __init__(self, module: str, lab: str, journal: Journal) -> None:
-        self._module, self._lab, self._journal = module, lab, journal
+        self._module, self._lab = module, lab
+        self._journal, self._memory = journal, journal.memory
 
     def admit(self, lab: str, epoch: int) -> None:
         """Bind the node to its lab and to the kernel of this epoch. Raises NotAdmitted."""
-        journal = self._journal
-        if lab != (journal.lab or self._lab):
-            mine = journal.lab or self._lab
+        memory = self._memory
+        if lab != (memory.lab or self._lab):
+            mine = memory.lab or self._lab
             raise NotAdmitted(f"{self._module} belongs to lab {mine}, not to {cut(lab, 80)}.", "fenced")
-        if epoch < journal.epoch:
+        if epoch < memory.epoch:
             raise NotAdmitted(
-                f"{self._module} obeys the kernel of epoch {journal.epoch}; this one's is {epoch}.", "fenced"
+                f"{self._module} obeys the kernel of epoch {memory.epoch}; this one's is {epoch}.", "fenced"
             )
-        if epoch > min(journal.epoch + EPOCH_JUMP, GREATEST):
+        if epoch > min(memory.epoch + EPOCH_JUMP, GREATEST):
             raise NotAdmitted(
-                f"{self._module} obeys the kernel of epoch {journal.epoch}; no kernel of its lab can have "
+                f"{self._module} obeys the kernel of epoch {memory.epoch}; no kernel of its lab can have "
                 f"epoch {epoch}.",
                 "refused",
                 remedy="Nothing was changed; find the program that sends this.",
             )
-        journal.bind(lab)
-        journal.raise_epoch(epoch)
+        self._journal.bind(lab)
+        self._journal.raise_epoch(epoch)
 
     def check(self, message: ActionMessage) -> None:
         """Check that a kernel can have sent this message. Nothing is stored. Raises NotAdmitted."""
@@ -89,7 +90,7 @@ class Admission:
             return f"not a name of an action: {cut(repr(message.action), 80)}"
         if not 1 <= message.position <= GREATEST:
             return f"not a position of a log: {message.position}"
-        last = self._journal.find_last_attempt(message.action)
+        last = self._memory.find_last_attempt(message.action)
         if not 1 <= message.attempt <= last + ATTEMPT_JUMP:
             return f"attempt {message.attempt} of {message.action} cannot follow attempt {last}"
         return ""
@@ -97,6 +98,6 @@ class Admission:
     def _find_flaw_of_acknowledgement(self, position: int) -> str:
         if not 0 <= position <= GREATEST:
             return f"not a position of a log: {position}"
-        if position > self._journal.seen + POSITION_JUMP:
-            return f"position {position} is too far behind the last request, which has {self._journal.seen}"
+        if position > self._memory.seen + POSITION_JUMP:
+            return f"position {position} is too far behind the last request, which has {self._memory.seen}"
         return ""

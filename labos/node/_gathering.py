@@ -71,10 +71,10 @@ class Gathering:
 
     def _find_late(self, group: _Group) -> str:
         """Why a waiting start may not begin any more; empty if all may begin."""
-        journal = self._journal
+        memory = self._journal.memory
         for start in group.starts.values():
-            known = journal.find(start.action, start.attempt) or journal.is_void(start.action, start.attempt)
-            if known or journal.is_forgotten(start.position):
+            known = memory.find(start.action, start.attempt) or memory.is_void(start.action, start.attempt)
+            if known or memory.is_forgotten(start.position):
                 return f"{start.action} may no longer start."
         return ""
 

@@ -31,7 +31,7 @@ from labos.node._records import (
     Voided,
     Withdrawn,
 )
-from labos.node.protocol import Outcome
+from labos.node.protocol import Outcome, Unacknowledged
 
 _Status = Literal["running", "finished", "interrupted"]
 
@@ -59,8 +59,10 @@ class Known(msgspec.Struct):
 
 
 class Memory(msgspec.Struct):
-    """``pruned`` is the position that a kernel of the epoch ``pruned_by`` acknowledged. ``seen`` is the
-    greatest position of a request. ``corrections`` are the corrections by people."""
+    """``lab`` is the lab to which the node belongs; empty before the first message of a lab. ``epoch`` is
+    that of the newest kernel that the node obeys. ``pruned`` is the position that a kernel of the epoch
+    ``pruned_by`` acknowledged (0: not noted). ``seen`` is the greatest position of a request, including
+    forgotten requests. ``corrections`` are the corrections by people."""
 
     id: str = ""
     lab: str = ""
@@ -82,6 +84,40 @@ class Memory(msgspec.Struct):
     def is_spent(self, position: int) -> bool:
         """Whether the node may forget something after an acknowledgement of ``position``."""
         return any(self._keep_remainder(known, position) is not known for known in self.actions.values())
+
+    def find(self, action: str, attempt: int) -> Attempt | None:
+        """This attempt, if it was accepted and not forgotten."""
+        entry = self.actions.get(action)
+        return entry.attempts.get(attempt) if entry else None
+
+    def find_earlier(self, action: str, attempt: int) -> Attempt | None:
+        """The latest accepted attempt below ``attempt``."""
+        entry = self.actions.get(action)
+        numbers = [n for n in entry.attempts if n < attempt] if entry else []
+        return entry.attempts[max(numbers)] if entry and numbers else None
+
+    def find_last_attempt(self, action: str) -> int:
+        """The greatest remembered number of an attempt, accepted or void; 0 if there is none."""
+        entry = self.actions.get(action)
+        return max(entry.void, *entry.attempts, 0) if entry else 0
+
+    def is_void(self, action: str, attempt: int) -> bool:
+        """Whether this attempt never ran and can never run."""
+        entry = self.actions.get(action)
+        if entry is None or attempt in entry.attempts:
+            return False
+        return attempt <= entry.void or any(n > attempt for n in entry.attempts)
+
+    def is_forgotten(self, position: int) -> bool:
+        """Whether requests with this position are so old that they are refused unread."""
+        return position <= self.pruned
+
+    def list_unacknowledged(self) -> list[Unacknowledged]:
+        """``list_attempts`` in the form for reports."""
+        return [
+            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
+            for a in self.list_attempts()
+        ]
 
     # -- the fold ----------------------------------------------------------------------------
 

@@ -42,9 +42,9 @@ from labos.node._records import (
     read_lines,
     write_line,
 )
-from labos.node.protocol import Outcome, Unacknowledged
+from labos.node.protocol import Outcome
 
-__all__ = ["Attempt", "Journal", "JournalError", "JournalFile", "knows_more"]
+__all__ = ["Attempt", "Journal", "JournalError", "JournalFile", "Memory", "knows_more", "read_journal"]
 
 COMPACT_BYTES = 256 * 1024
 """Below this size a journal is not worth compacting."""
@@ -67,31 +67,13 @@ class JournalFile(Protocol):
     async def close(self) -> None: ...
 
 
-class _ReadOnlyStorage:
-    """The storage of a journal that is only read."""
-
-    async def read(self) -> bytes:
-        return b""
-
-    async def append(self, data: bytes) -> None:
-        raise OSError("this journal is open for reading only")
-
-    async def replace(self, data: bytes) -> None:
-        raise OSError("this journal is open for reading only")
-
-    async def close(self) -> None:
-        pass
-
-
-_READ_ONLY = _ReadOnlyStorage()
-
-
 class JournalError(NodeError):
     """The node's journal cannot be used, so nothing may move."""
 
 
 class Journal:
-    """The journal of a node; see the module's docstring. Made by ``Journal.open``."""
+    """The journal of a node; see the module's docstring. Made by ``Journal.open``. ``memory`` answers what it
+    holds."""
 
     def __init__(self, file: JournalFile) -> None:
         self.memory = Memory()
@@ -119,93 +101,17 @@ class Journal:
             raise
         return journal
 
-    @classmethod
-    def read(cls, data: bytes) -> Journal:
-        """The journal in a file, only for reading. Raises JournalDamaged."""
-        journal = cls(_READ_ONLY)
-        journal.memory.replay(read_lines(data)[0])
-        return journal
-
-    # -- questions ---------------------------------------------------------------------------
-
-    @property
-    def id(self) -> str:
-        return self.memory.id
-
-    @property
-    def lab(self) -> str:
-        """The lab to which the node belongs; empty before the first message of a lab."""
-        return self.memory.lab
-
-    @property
-    def epoch(self) -> int:
-        """The epoch of the newest kernel that the node obeys."""
-        return self.memory.epoch
-
-    @property
-    def pruned(self) -> int:
-        """The position that the lab has acknowledged."""
-        return self.memory.pruned
-
-    @property
-    def pruned_by(self) -> int:
-        """The epoch of the kernel that acknowledged; 0 if it is not noted."""
-        return self.memory.pruned_by
-
-    @property
-    def seen(self) -> int:
-        """The greatest position of a request that the node has seen, including forgotten requests."""
-        return self.memory.seen
-
-    def find(self, action: str, attempt: int) -> Attempt | None:
-        """This attempt, if it was accepted and not forgotten."""
-        entry = self.memory.actions.get(action)
-        return entry.attempts.get(attempt) if entry else None
-
-    def find_earlier(self, action: str, attempt: int) -> Attempt | None:
-        """The latest accepted attempt below ``attempt``."""
-        entry = self.memory.actions.get(action)
-        numbers = [n for n in entry.attempts if n < attempt] if entry else []
-        return entry.attempts[max(numbers)] if entry and numbers else None
-
-    def find_last_attempt(self, action: str) -> int:
-        """The greatest remembered number of an attempt, accepted or void; 0 if there is none."""
-        entry = self.memory.actions.get(action)
-        return max(entry.void, *entry.attempts, 0) if entry else 0
-
-    def is_void(self, action: str, attempt: int) -> bool:
-        """Whether this attempt never ran and can never run."""
-        entry = self.memory.actions.get(action)
-        if entry is None or attempt in entry.attempts:
-            return False
-        return attempt <= entry.void or any(n > attempt for n in entry.attempts)
-
-    def is_forgotten(self, position: int) -> bool:
-        """Whether requests with this position are so old that they are refused unread."""
-        return position <= self.pruned
-
-    def open_attempts(self) -> list[Attempt]:
-        """All remembered attempts, in the order in which they were accepted."""
-        return self.memory.list_attempts()
-
-    def list_unacknowledged(self) -> list[Unacknowledged]:
-        """``open_attempts`` in the form for reports."""
-        return [
-            Unacknowledged(a.action, a.attempt, a.name, a.status, a.handle, a.position, a.effects)
-            for a in self.open_attempts()
-        ]
-
     # -- changes: in force at once, durable after ``synced`` ---------------------------------
 
     def bind(self, lab: str) -> None:
         """Bind the node to a lab permanently."""
-        if self.lab and self.lab != lab:
-            raise ValueError(f"journal {self.id} belongs to lab {self.lab}, not {lab}")
-        if not self.lab:
+        if self.memory.lab and self.memory.lab != lab:
+            raise ValueError(f"journal {self.memory.id} belongs to lab {self.memory.lab}, not {lab}")
+        if not self.memory.lab:
             self._record(Bound(lab))
 
     def raise_epoch(self, epoch: int) -> None:
-        if epoch > self.epoch:
+        if epoch > self.memory.epoch:
             self._record(EpochRaised(epoch))
 
     def accept(
@@ -217,10 +123,11 @@ class Journal:
         effects: tuple[AnyEffect, ...] | None = None,
     ) -> Attempt:
         """Raises ValueError for an attempt that must not start."""
-        if self.find(action, attempt) or self.is_void(action, attempt) or self.is_forgotten(position):
+        memory = self.memory
+        if memory.find(action, attempt) or memory.is_void(action, attempt) or memory.is_forgotten(position):
             raise ValueError(f"attempt {attempt} of {action} must not start")
         self._record(Accepted(action, attempt, position, name, effects=effects))
-        return self.memory.actions[action].attempts[attempt]
+        return memory.actions[action].attempts[attempt]
 
     def note_handle(self, action: str, attempt: int, handle: str) -> None:
         self._record(Handled(action, attempt, handle))
@@ -250,19 +157,22 @@ class Journal:
 
     def prune(self, position: int) -> None:
         """Forget requests up to ``position`` that are not running, and refuse them from now on."""
-        if position > self.pruned or self.memory.is_spent(position):
-            self._record(Pruned(position, self.epoch))
+        if position > self.memory.pruned or self.memory.is_spent(position):
+            self._record(Pruned(position, self.memory.epoch))
 
     def rewind(self, position: int) -> None:
         """Accept requests after ``position`` again, although later ones were acknowledged. Requests up to
         ``position`` stay forgotten."""
-        if position < self.pruned:
-            self._record(Rewound(position, self.epoch))
+        if position < self.memory.pruned:
+            self._record(Rewound(position, self.memory.epoch))
 
     def correct(self, *, epoch: int, position: int, by: str, at_ns: int, why: str) -> None:
         """Correct the epoch and the acknowledged position at the request of a person (``labos node
         reset-epoch``). Raises BadInput where one would increase."""
-        for what, wanted, known in (("epoch", epoch, self.epoch), ("position", position, self.pruned)):
+        for what, wanted, known in (
+            ("epoch", epoch, self.memory.epoch),
+            ("position", position, self.memory.pruned),
+        ):
             if not 0 <= wanted <= known:
                 raise BadInput(
                     f"The journal has the {what} {known}: it cannot be set to {wanted}.",
@@ -314,15 +224,15 @@ class Journal:
         data = await self._file.read()
         records, good = read_lines(data)
         self.memory.replay(records)
-        if not self.id:
+        if not self.memory.id:
             self.memory.apply(Opened(ids.new(), FORMAT))
             good = self._snapshot()
         if good != data:
             if data:
-                _log.warning("journal_tail_cut", journal=self.id, cut=len(data) - len(good))
+                _log.warning("journal_tail_cut", journal=self.memory.id, cut=len(data) - len(good))
             await self._file.replace(good)
         self._size = len(good)
-        if any(attempt.status == "running" for attempt in self.open_attempts()):
+        if any(attempt.status == "running" for attempt in self.memory.list_attempts()):
             self._record(Restarted())
             await self.sync()
 
@@ -350,7 +260,7 @@ class Journal:
             self._durable, written = recorded, True
         except Exception as error:
             self.broken = str(error) or type(error).__name__
-            _log.error("journal_unwritable", journal=self.id, error=self.broken)
+            _log.error("journal_unwritable", journal=self.memory.id, error=self.broken)
         finally:
             if not written and not self.broken:
                 self.broken = "the last write was interrupted"
@@ -359,6 +269,13 @@ class Journal:
     def _snapshot(self) -> bytes:
         """The whole journal in the form of a new one, without forgotten attempts."""
         return b"".join(write_line([encode(record)]) for record in self.memory.list_records())
+
+
+def read_journal(data: bytes) -> Memory:
+    """The memory in a journal's file. Raises JournalDamaged."""
+    memory = Memory()
+    memory.replay(read_lines(data)[0])
+    return memory
 
 
 def knows_more(acknowledged: int, by: int, end: int, starts: Sequence[tuple[int, int]]) -> bool:

@@ -136,7 +136,14 @@ def action(
 
 
 handle_keeper: ContextVar[Callable[[str], Awaitable[None]] | None] = ContextVar("handle_keeper", default=None)
-"""The function that ``Node.note_handle`` calls; the server sets it for each action."""
+"""The function that ``note_handle`` calls; the server sets it for each action."""
+
+
+async def note_handle(handle: str) -> None:
+    """As ``Node.note_handle``, for the driver below a node."""
+    keep = handle_keeper.get()
+    if keep is not None:
+        await keep(handle)
 
 
 current_action: ContextVar[str] = ContextVar("current_action", default="")
@@ -208,9 +215,7 @@ class Node:
     async def note_handle(self, handle: str) -> None:
         """Journal the device's own id of the work that an action is about to start (an OT-2 run id), so that
         it can be found again after a crash. Call it within an action, before the start."""
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(handle)
+        await note_handle(handle)
 
     async def take_up(self, name: str, handle: str) -> Any:
         """Continue an action that was under way when the node died: wait for its end, and return or raise

@@ -93,7 +93,7 @@ class NodeServer:
         on_end: Callable[[str, Outcome | None], None] | None = None,
     ) -> None:
         self.node = node
-        self.journal = journal
+        self.journal, self._memory = journal, journal.memory
         self.module = f"{node.setup.workcell}/{node.setup.name}"
         self.instance = ids.new()
         self.stopping = asyncio.Event()
@@ -209,11 +209,11 @@ class NodeServer:
     def state(self) -> StateReport:
         """The present answer of ``state``."""
         by_status: dict[str, list[str]] = {"running": [], "finished": [], "interrupted": []}
-        for attempt in self.journal.open_attempts():
+        for attempt in self._memory.list_attempts():
             by_status[attempt.status].append(attempt.action)
         return StateReport(
             status=self.status,
-            journal=self.journal.id,
+            journal=self._memory.id,
             instance=self.instance,
             **by_status,
             variables=self._admin.variables,
@@ -227,15 +227,15 @@ class NodeServer:
         description = msgspec.to_builtins(self._description)
         return AboutReport(
             module=self.module,
-            journal=self.journal.id,
+            journal=self._memory.id,
             instance=self.instance,
             digest=digest(encode_canonical(description)),
             description=description,
             simulated=self._simulated,
-            open=self.journal.list_unacknowledged(),
-            epoch=self.journal.epoch,
-            acknowledged=self.journal.pruned,
-            acknowledged_by=self.journal.pruned_by,
+            open=self._memory.list_unacknowledged(),
+            epoch=self._memory.epoch,
+            acknowledged=self._memory.pruned,
+            acknowledged_by=self._memory.pruned_by,
             labos=VERSION,
             unit=find_pinned_unit(self.node.setup),
             firmware=cut(self.node.setup.firmware, NAME_LIMIT),
@@ -316,10 +316,10 @@ class NodeServer:
             # It is reported like any acceptance that cannot be written.
             with contextlib.suppress(JournalError):
                 await journal.mend()
-        if start.journal != journal.id:
+        if start.journal != self._memory.id:
             await journal.sync()
             return self._reply(
-                "refused", f"The request is for journal {cut(start.journal, 80)}; this is {journal.id}."
+                "refused", f"The request is for journal {cut(start.journal, 80)}; this is {self._memory.id}."
             )
         if reply := self._reply_from_journal(start.action, start.attempt, start.position):
             if reply.attempt != start.attempt and reply.status not in ("void", "forgotten"):
@@ -403,12 +403,12 @@ class NodeServer:
         return self._condition.explain_cannot_begin(spec, self._find_current_action())
 
     def _find_current_action(self) -> str:
-        running = next((a for a in self.journal.open_attempts() if a.action == self._condition.doing), None)
+        running = next((a for a in self._memory.list_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
 
     def _find_carrying_action(self) -> str:
         """The action that carries labware now; empty if there is none."""
-        for attempt in self.journal.open_attempts():
+        for attempt in self._memory.list_attempts():
             spec = self._description.action(attempt.name)
             effects = spec.effects if spec is not None and not spec.by_person else ()
             if attempt.action in self._running and list_carried(effects):
@@ -418,13 +418,13 @@ class NodeServer:
     def _reply_from_journal(self, action: str, attempt: int, position: int) -> ActionReply | None:
         """The answer about an attempt from the journal; None if the journal does not have one. If an earlier
         attempt was accepted, the answer is about that one."""
-        known = self.journal.find(action, attempt) or self.journal.find_earlier(action, attempt)
+        known = self._memory.find(action, attempt) or self._memory.find_earlier(action, attempt)
         if known is not None:
             return self._reply_about(known)
-        if self.journal.is_void(action, attempt):
+        if self._memory.is_void(action, attempt):
             return self._reply("void", attempt=attempt)
-        if self.journal.is_forgotten(position):
-            return self._reply("forgotten", f"The lab acknowledged everything up to {self.journal.pruned}.")
+        if self._memory.is_forgotten(position):
+            return self._reply("forgotten", f"The lab acknowledged everything up to {self._memory.pruned}.")
         return None
 
     async def _on_ask(self, ask: Ask) -> ActionReply:
@@ -517,7 +517,7 @@ class NodeServer:
             self._admin.note_recovery()
         answered = [attempt for attempt in attempts if attempt.action not in self._unanswered]
         for attempt in answered:
-            published = ResultPublished(attempt.action, attempt.attempt, self.journal.id, outcome)
+            published = ResultPublished(attempt.action, attempt.attempt, self._memory.id, outcome)
             key = self._keys.result(self.module, attempt.action)
             await self._publish(key, published)
         if answered or self._condition.error or spec.recovers:
@@ -564,7 +564,7 @@ class NodeServer:
         They count as running before the node answers any query."""
         found = []
         if type(self.node).take_up is not Node.take_up:
-            for attempt in self.journal.open_attempts():
+            for attempt in self._memory.list_attempts():
                 spec = self._description.action(attempt.name)
                 if attempt.status == "interrupted" and spec is not None and not spec.by_person:
                     self.journal.take_up(attempt)
@@ -601,7 +601,7 @@ class NodeServer:
     def _reply(
         self, status: str, why: str = "", attempt: int = 0, outcome: Outcome | None = None
     ) -> ActionReply:
-        return ActionReply(status, self.journal.id, cut(why), outcome, attempt)  # type: ignore[arg-type]
+        return ActionReply(status, self._memory.id, cut(why), outcome, attempt)  # type: ignore[arg-type]
 
     async def _publish_state(self) -> None:
         await self._publish(self._keys.operation(self.module, "state"), self.state())

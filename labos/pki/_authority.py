@@ -279,17 +279,14 @@ class Authority:
         number = self.read_members().number + 1
         members = Members(members.entries, number)
         if self.issues:
-            from labos.pki._signing import sign
+            from labos.pki._signing import make_revocation_list, sign
 
             signature = sign(self._read_ca()[1], members.signed_bytes)
             members = msgspec.structs.replace(members, signature=signature)
-        text = msgspec.json.format(msgspec.json.encode(members), indent=1) + b"\n"
-        if self.issues:
-            from labos.pki._signing import make_revocation_list
-
             revoked = [entry for entry in members.entries if entry.revoked_at and entry.own]
             listed = make_revocation_list(self._read_ca(), revoked, self._clock.now_ns(), DAYS)
             replace_file(self.folder / REVOKED, listed)
+        text = msgspec.json.format(msgspec.json.encode(members), indent=1) + b"\n"
         for entry in members.admitted:
             if entry.identity.kind in SERVERS:
                 replace_file(self.credentials(entry.identity).folder / MEMBERS, text)

@@ -116,36 +116,27 @@ def read_certificate(pem: bytes, what: str) -> x509.Certificate:
         raise BadInput(f"{what} is not a certificate: {error}.", remedy="Give a PEM file.") from error
 
 
-def common_name_of(certificate: x509.Certificate) -> str:
-    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    return str(names[0].value) if names else ""
-
-
 def identity_of(certificate: x509.Certificate) -> PartyIdentity | None:
     """The party of a certificate, if LabOS issued it."""
-    try:
-        names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    except x509.ExtensionNotFound:
-        return None
-    found = map(parse_identity, names.get_values_for_type(x509.UniformResourceIdentifier))
+    found = map(parse_identity, _list_names(certificate, x509.UniformResourceIdentifier))
     return next((identity for identity in found if identity is not None), None)
 
 
 def entry_of(certificate: x509.Certificate, identity: PartyIdentity, *, own: bool) -> CertificateEntry:
     """The stored data of a certificate. Raises BadInput if it has no common name."""
-    common_name = common_name_of(certificate)
-    if not common_name:
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    if not names or not names[0].value:
         raise BadInput(
             "The certificate has no common name (CN), which the bus needs to identify its owner.",
             remedy="Request one with a CN; each key needs its own CN.",
         )
     return CertificateEntry(
         identity,
-        common_name,
+        str(names[0].value),
         f"{certificate.serial_number:x}",
         _convert_to_ns(certificate.not_valid_before_utc),
         _convert_to_ns(certificate.not_valid_after_utc),
-        addresses_of(certificate),
+        (*_list_names(certificate, x509.DNSName), *_list_names(certificate, x509.IPAddress)),
         own,
     )
 
@@ -155,14 +146,13 @@ def end_of(certificate: x509.Certificate) -> int:
     return _convert_to_ns(certificate.not_valid_after_utc)
 
 
-def addresses_of(certificate: x509.Certificate) -> tuple[str, ...]:
-    """The addresses at which others may connect to its owner."""
+def _list_names(certificate: x509.Certificate, kind: type[x509.GeneralName]) -> list[str]:
+    """The alternative names of a kind."""
     try:
         names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:
-        return ()
-    hosts = names.get_values_for_type(x509.DNSName)
-    return (*hosts, *map(str, names.get_values_for_type(x509.IPAddress)))
+        return []
+    return [str(name.value) for name in names if isinstance(name, kind)]
 
 
 def is_key_of(certificate: x509.Certificate, key: bytes) -> bool:

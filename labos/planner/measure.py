@@ -67,7 +67,7 @@ def rate_runs(state: LabState, runs: Iterable[RunState], now: int) -> dict[RunId
     found = {run.id: (run, (is_urgent(state, run, now), run.priority)) for run in runs}
     ranks = {known: rank for rank, known in enumerate(sorted({known for _, known in found.values()}))}
     return {
-        name: Rated(ranks[known], _deadline_of(state, name), _goes_on(state, name), run.user, run.due_at)
+        name: Rated(ranks[known], _deadline_of(state, run), bool(run.experiment), run.user, run.due_at)
         for name, (run, known) in found.items()
     }
 
@@ -121,15 +121,9 @@ def _count_avoidable(runs: list[tuple[float, float]]) -> float:
     return max(0.0, late - least)
 
 
-def _deadline_of(state: LabState, name: RunId) -> int:
-    run = state.runs.get(name)
-    campaign = state.campaigns.open.get(run.campaign) if run is not None and run.campaign else None
+def _deadline_of(state: LabState, run: RunState) -> int:
+    campaign = state.campaigns.open.get(run.campaign)
     return campaign.terms.deadline if campaign is not None else 0
-
-
-def _goes_on(state: LabState, name: RunId) -> bool:
-    run = state.runs.get(name)
-    return run is not None and bool(run.experiment)
 
 
 def _compute_mean(numbers: list[float]) -> float:

@@ -71,7 +71,7 @@ class Planner:
         in the order in which they would start."""
         waiting = list(waiting)
         runs = choose_runs(state, cell, waiting)
-        problem = replace(problem_of(state, cell, runs, now, self.level), end_weight=self.end_weight)
+        problem = replace(problem_of(state, runs, now, self.level), end_weight=self.end_weight)
         counts = self._overtaken.setdefault(cell, Overtakings()).count(state, cell, waiting)
         overtaken = tuple(counts[problem.tasks[first].run] for first in problem.line)
         problem = replace(problem, overtaken=overtaken)

@@ -14,7 +14,6 @@ from itertools import islice
 from typing import Any
 
 import msgspec
-from msgspec.structs import replace
 
 from labos.core.actions import ActionStatus
 from labos.core.booked import find_blocked, find_contacts, is_exempt
@@ -114,7 +113,8 @@ class SchedulingProblem(msgspec.Struct, frozen=True):
 
 def choose_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[RunState]:
     """The runs that are planned together: those in progress, and the first of the waiting ones."""
-    inside = [run for run in state.runs.list_inside(cell) if _goes_on(run)]
+    active = [run for run in state.runs.list_inside(cell) if run.status == RunStatus.ACTIVE]
+    inside = [run for run in active if not find_holds(run)]
     outside = [run for run in islice(waiting, MOST_WAITING) if not find_holds(run)]
     found: list[RunState] = []
     steps, windowed = 0, False
@@ -135,18 +135,21 @@ def add_next(runs: Sequence[RunState], waiting: Iterable[RunState]) -> list[RunS
     return [*runs, *others]
 
 
-def problem_of(
-    state: LabState, cell: str, runs: Sequence[RunState], now: int, level: float = 0.5
-) -> SchedulingProblem:
-    """The remaining work of these runs in a workcell. ``level`` is the quantile of durations, between 0 and
+def problem_of(state: LabState, runs: Sequence[RunState], now: int, level: float = 0.5) -> SchedulingProblem:
+    """The remaining work of these runs of a workcell. ``level`` is the quantile of durations, between 0 and
     1."""
     reader = _Reader(state, now, level)
     for run in runs:
         reader.read(run)
     rated = rate_runs(state, runs, now)
     users = Counter(run.user for run in runs)
-    return replace(
-        reader.make_problem(cell),
+    return SchedulingProblem(
+        tuple(reader.tasks),
+        tuple(reader.stays),
+        reader.count_rooms(),
+        tuple(reader.like),
+        tuple(reader.ends),
+        tuple(bool(run.experiment) for run in runs),
         ranks=tuple(rated[run.id].rank for run in runs),
         due_s=tuple(_find_time_to(state, rated[run.id].deadline, now) for run in runs),
         own_due_s=tuple(
@@ -185,22 +188,16 @@ def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]
         )
 
 
-def _goes_on(run: RunState) -> bool:
-    return run.status == RunStatus.ACTIVE and not find_holds(run)
-
-
 class _Reader:
     def __init__(self, state: LabState, now: int, level: float) -> None:
         self.state, self.now, self.level = state, now, level
         self.tasks: list[Task] = []
         self.stays: list[RoomUse] = []
         self.read_runs: dict[RunId, bool] = {}
-        self._places: dict[str, bool] = {}
         self._taken: dict[str, int] = {}
         self._looks: dict[str, int] = {}
-        self._like: list[tuple[int, int]] = []
-        self._ends: list[tuple[int, ...]] = []
-        self._more: list[bool] = []
+        self.like: list[tuple[int, int]] = []
+        self.ends: list[tuple[int, ...]] = []
         self.line: list[int] = []
 
     def read(self, run: RunState) -> None:
@@ -225,13 +222,12 @@ class _Reader:
             assert number == len(self.tasks) - 1
         self._carry(run, plan.steps, numbers)
         before = {number for task in self.tasks[base:] for number in task.after}
-        self._ends.append(tuple(number for number in numbers.values() if number not in before))
-        self._more.append(bool(run.experiment))
+        self.ends.append(tuple(number for number in numbers.values() if number not in before))
         if not run.has_started:
             self.line.append(base)
             look = repr((plan.steps, run.user, run.experiment, run.priority))
             if look in self._looks:
-                self._like.append((self._looks[look], base))
+                self.like.append((self._looks[look], base))
             self._looks[look] = base
 
     def _list_lags(
@@ -283,10 +279,10 @@ class _Reader:
                     if is_deck(place) and len(pieces) > 1:
                         pieces.pop()  # the run has the deck until its last piece has left
                     elif pieces:
-                        self._add_stay(place, pieces.pop(0), number)
+                        self.stays.append(RoomUse(place, pieces.pop(0), number))
                     elif self._is_standing(place):
                         self._taken[place] = self._taken.get(place, 0) + 1
-                        self._add_stay(place, None, number)
+                        self.stays.append(RoomUse(place, None, number))
                 for place in list_counted_keys(self.state, what.filled):
                     standing.setdefault(place, []).append(number)
         # Labware that a run leaves behind stays there without end. Not in an experiment: its next run will
@@ -294,34 +290,24 @@ class _Reader:
         last = max(numbers.values(), default=None) if run.experiment else None
         for place, pieces in standing.items():
             for first in pieces[:1] if is_deck(place) else pieces:
-                self._add_stay(place, first, last)
+                self.stays.append(RoomUse(place, first, last))
 
     def _is_standing(self, place: str) -> bool:
         """Whether labware stands at a place and none of these runs fetches it."""
         name = StationName(split_key(place)[1])
         return not is_deck(place) and self._count_strangers(name) > self._taken.get(place, 0)
 
-    def _add_stay(self, place: str, first: int | None, last: int | None) -> None:
-        self._places[place] = True
-        self.stays.append(RoomUse(place, first, last))
-
-    def make_problem(self, cell: str) -> SchedulingProblem:
+    def count_rooms(self) -> dict[str, int]:
+        """The room at each place where labware of these runs stands at some time."""
         room: dict[str, int] = {}
-        for key in self._places:
+        for key in dict.fromkeys(stay.place for stay in self.stays):
             station = find_station(self.state, key)
             if station is None:
                 room[key] = 1  # a deck
                 continue
             strangers = self._count_strangers(station.spec.name) - self._taken.get(key, 0)
             room[key] = count_room(self.state, station) - strangers
-        return SchedulingProblem(
-            tuple(self.tasks),
-            tuple(self.stays),
-            room,
-            tuple(self._like),
-            tuple(self._ends),
-            tuple(self._more),
-        )
+        return room
 
     def _count_strangers(self, place: StationName) -> int:
         """The number of pieces at a place that neither these runs nor an experiment will carry away."""

@@ -19,6 +19,7 @@ from labos.core.lengths import Lengths
 from labos.core.model import PlanStep
 from labos.core.runs import RunCancelled, RunState
 from labos.core.state import LabState, encode_picture, from_picture
+from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested
 from labos.planner.lengths import draw, estimate_at_level
 from labos.planner.measure import Score, judge, rate_runs
@@ -78,6 +79,7 @@ class OrderRehearsal:
         self._most = 1 + drawn * windowed
         self._gain = (GAIN, GRACE_S / copy.lab.pace) if drawn else (0.0, 0.0)
         self._rated = rate_runs(copy, runs, now)
+        self._lengths = copy.lengths
         self._base = encode_picture(copy)
 
     def go(self, order: Order | None) -> Way:
@@ -98,18 +100,18 @@ class OrderRehearsal:
 
     def is_better(self, one: Way, other: Way) -> bool:
         """Whether one way is clearly better than another: with the durations of the plan, and if there are
-        windows also with drawn ones, one play after the other. The comparison ends with the first play that
-        shows the contrary."""
-        return all(self._compare(one, other, plays) for plays in range(1, self._most + 1))
+        windows also in all plays together. By chance, a single play with drawn durations may show the
+        contrary."""
+        return all(self._compare(one, other, plays) for plays in (1, self._most))
 
     def is_as_good(self, one: Way, other: Way) -> bool:
         """Whether one way is not clearly worse than another, in the same plays."""
-        return not any(self._compare(other, one, plays) for plays in range(1, self._most + 1))
+        return not any(self._compare(other, one, plays) for plays in (1, self._most))
 
     def _compare(self, one: Way, other: Way, plays: int) -> bool:
         """Whether one way is clearly better in so many plays."""
         for way in (one, other):
-            if len(way.plays) < plays:
+            while len(way.plays) < plays:
                 self._play(way)
         return self._compute_score(one, plays).is_better_than(self._compute_score(other, plays), *self._gain)
 
@@ -120,16 +122,15 @@ class OrderRehearsal:
         state, order = from_picture(self._base), way.order
         state.suggestions.orders.pop(self.cell, None)
         if order is not None:
-            state.suggestions.orders[self.cell] = OrderSuggested(
-                order.workcell, order.by, order.until, order.steps
-            )
-        lasts = _make_lasts(state.lengths, state.lab.pace, self.level, len(way.plays))
+            state.suggestions.orders[self.cell] = make_from(OrderSuggested, order)
+        lasts = _make_lasts(self._lengths, state.lab.pace, self.level, len(way.plays))
         lab = VirtualLab(state, self.now, lasts, orders=self._orders, overtaken=self._overtaken)
         way.plays.append(lab.go_on())
 
 
 def _make_lasts(lengths: Lengths, pace: float, level: float, number: int) -> Lasts:
-    """Number 0 has the durations of the plan; the others have drawn ones."""
+    """Number 0 has the durations of the plan; the others have drawn ones. ``lengths`` are those before any
+    play: what a play learns depends on its order, and a step has to take as long in each way."""
 
     def lasts(action: Action, step: PlanStep) -> int:
         drawn = draw(f"{number}/{action.run}/{action.step}/{action.attempt}") if number else level

@@ -30,12 +30,11 @@ BOOKED_UNIT_S = 10.0
 
 
 class Schedule(msgspec.Struct, frozen=True):
-    """The start of each task (lab seconds from now), and the length of the whole. ``bound_s``: no schedule is
-    shorter; ``proven``: this one is the best. ``cost`` is what the search made as small as it could."""
+    """The start of each task (lab seconds from now), and the length of the whole. ``proven``: no schedule is
+    better. ``cost`` is what the search made as small as it could."""
 
     starts_s: tuple[float, ...]
     makespan_s: float
-    bound_s: float
     proven: bool
     cost: float = 0.0
 
@@ -161,7 +160,6 @@ def _search(
             continue  # a deck with one place
         if room == 1:
             known.append(stood[place])
-        if room == 1:
             model.add_no_overlap(intervals)
         elif len(intervals) > room:
             model.add_cumulative(intervals, [1] * len(intervals), max(room, 0))
@@ -189,7 +187,10 @@ def _search(
     solver = cp_model.CpSolver()
     solver.parameters.num_workers = 2
     solver.parameters.interleave_search = counted
-    _set_limit(solver, limit, counted=counted)
+    if counted:
+        solver.parameters.max_deterministic_time = limit
+    else:
+        solver.parameters.max_time_in_seconds = limit
     status = solver.solve(model)
     if status == cp_model.INFEASIBLE and keeps_all:  # times are rounded: a window that was just kept is not
         return _search(problem, limit, hint, counted=counted, may_miss=True, tidy=tidy)
@@ -198,7 +199,6 @@ def _search(
     return Schedule(
         tuple(solver.value(start) * unit for start in begin),
         max(map(solver.value, end), default=0) * unit,
-        solver.best_objective_bound * unit,
         status == cp_model.OPTIMAL,
         solver.objective_value,
     )
@@ -301,13 +301,6 @@ def _merge_closed(
         else:
             found.append([begins, ends])
     return [model.new_fixed_size_interval_var(b, e - b, f"shut{n}") for n, (b, e) in enumerate(found)]
-
-
-def _set_limit(solver: cp_model.CpSolver, seconds: float, *, counted: bool) -> None:
-    if counted:
-        solver.parameters.max_deterministic_time = seconds
-    else:
-        solver.parameters.max_time_in_seconds = seconds
 
 
 def _unit_of(durations: list[float]) -> float:

@@ -131,18 +131,14 @@ class Admission:
         if len(self._room.list_in_cell(cell)) > MOST_WAITING:
             return None
         for head in self._list_heads(state, cell):
-            group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
-            found += [state.runs.queued[name] for name in islice(group, MOST_WAITING + 1)]
+            found += _list_class(state, head, MOST_WAITING + 1)
             if len(found) > MOST_WAITING:
                 return None
-        if any(find_holds(run) or run.choices or not self._carries(state, run) for run in found):
+        if any(find_holds(run) or run.choices or not _carries(state, run) for run in found):
             return None
         if len({self._make_rank(state, run, now) for run in found}) > 1:
             return None
         return sorted(found, key=lambda run: run.position)
-
-    def _carries(self, state: LabState, run: RunState) -> bool:
-        return any(list_carried(step.effects) for step in state.runs.plan_of(run).steps)
 
     def _find_start(self, state: LabState, run: RunState, now: int) -> PossibleStart:
         waits: list[Wait] = []
@@ -170,14 +166,13 @@ class Admission:
         cell = state.runs.plan_of(option).workcell
         first = Candidate(option, step, early=early)
         goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
-        stands = any(list_carried(each.effects) for each in state.runs.plan_of(option).steps)
         own = self._adviser.own
         if not goes_first and own.is_used:
             is_too_early = own.is_too_early(state, cell)
             until = own.goes_on_at(cell) if is_too_early else self._window_orders.find_hold(state, cell, now)
             if is_too_early or until is not None:
                 return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
-        if goes_first or not stands or self._adviser.has_order(state, cell, now):
+        if goes_first or not _carries(state, option) or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not are_different(
@@ -218,8 +213,7 @@ class Admission:
         for head in self._list_heads(state, cell):
             if self._make_rank(state, head, now) != rank or find_holds(head):
                 continue
-            group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
-            found += [state.runs.queued[name] for name in islice(group, MOST_WAITING)]
+            found += _list_class(state, head, MOST_WAITING)
         found = [other for other in found if other.id != run.id and other.id not in state.runs.windowed]
         return sorted(found, key=lambda other: other.position)
 
@@ -235,8 +229,7 @@ class Admission:
         found: list[RunState] = []
         for head in heads:
             if ranks[head.id] == first:
-                group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
-                found += [state.runs.queued[name] for name in islice(group, most)]
+                found += _list_class(state, head, most)
         return sorted(found, key=lambda run: run.position)[:most]
 
     def _list_heads(self, state: LabState, cell: str) -> Iterator[RunState]:
@@ -246,3 +239,13 @@ class Admission:
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
         """The rank of a waiting run without its age."""
         return -run.priority, *self._ranking.rank_waiting(state, run, now)
+
+
+def _list_class(state: LabState, head: RunState, most: int) -> list[RunState]:
+    """The first of the waiting runs that differ from this one in nothing but age, so many at most."""
+    group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
+    return [state.runs.queued[name] for name in islice(group, most)]
+
+
+def _carries(state: LabState, run: RunState) -> bool:
+    return any(list_carried(step.effects) for step in state.runs.plan_of(run).steps)

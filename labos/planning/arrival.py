@@ -16,6 +16,7 @@ from collections.abc import Iterable, Iterator
 from labos.core import reasons
 from labos.core.actions import Action
 from labos.core.bench import StationState
+from labos.core.branches import list_all_before
 from labos.core.effects import list_arrivals, list_carried
 from labos.core.ids import Owner, RunId, StationName, run_owner, split_key, workcell_of
 from labos.core.model import Plan, PlanStep
@@ -62,23 +63,13 @@ def _find_first_stop(
         return None
     between: list[int] = []
     for index, later in enumerate(plan.steps):
-        if index == step or step not in _list_before(plan, index):
+        if index == step or step not in list_all_before(lambda at: plan.steps[at].after, index):
             continue
         for what in list_carried(later.effects):
             if what.emptied == stop:
                 return (stop, what.filled, tuple(between)) if what.filled else None
         between.append(index)
     return None
-
-
-def _list_before(plan: Plan, index: int) -> set[int]:
-    found, open_ = set[int](), [index]
-    while open_:
-        for before in plan.steps[open_.pop()].after:
-            if before not in found:
-                found.add(before)
-                open_.append(before)
-    return found
 
 
 def _would_fill(station: StationState) -> bool:

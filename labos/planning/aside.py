@@ -15,10 +15,11 @@ from labos.core.binding import check_door_open
 from labos.core.effects import list_places
 from labos.core.ids import ModuleName, RunId, module_key, split_key
 from labos.core.model import PlanStep
-from labos.core.runs import SETTLED, RunState, RunStatus
+from labos.core.runs import RunState, RunStatus
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning.floor import Actor, Floor
+from labos.planning.forecast import list_left
 from labos.planning.layout import is_down, lay_out
 from labos.planning.moves import move
 from labos.planning.safety import Safety
@@ -38,7 +39,7 @@ def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) ->
     if wait is None or not isinstance(wait.reason, DOWN):
         return None
     plan = state.runs.plan_of(run)
-    left = [s for s, at in zip(plan.steps, run.steps, strict=True) if at.status not in SETTLED]
+    left = list_left(state, run)
     dead = {s.module for s in left if is_down(state, s.module)}
     wanted = _find_wanted(state, run)
     actor = safety.make_actor(state, run)
@@ -61,10 +62,8 @@ def _find_wanted(state: LabState, run: RunState) -> set[str]:
         if known.plan.workcell == cell and not any(is_down(state, s.module) for s in known.plan.steps):
             wanted.update(place for s in known.plan.steps for place in list_places(s.effects))
     for other in state.runs.list_inside(cell):
-        plan = state.runs.plan_of(other)
         if other.id != run.id and find_block(state, other) is None:
-            left = [s for s, at in zip(plan.steps, other.steps, strict=True) if at.status not in SETTLED]
-            wanted.update(place for s in left for place in list_places(s.effects))
+            wanted.update(place for s in list_left(state, other) for place in list_places(s.effects))
     return wanted
 
 

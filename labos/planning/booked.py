@@ -24,7 +24,7 @@ from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.runs import PENDING, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.forecast import find_earliest_start, find_usual_time
+from labos.planning.forecast import find_earliest_start, find_usual_time, takes_from
 from labos.planning.player import find_chained
 
 
@@ -201,7 +201,7 @@ def _list_end_times(
     for what in list_carried(step.effects):
         place = what.filled
         if place and _is_inside(state, place, module):
-            gone = next((i for i in later if _takes_last_from(plan.steps[i], place)), None)
+            gone = next((i for i in later if takes_from(plan.steps[i], place)), None)
             if gone is not None:
                 yield times[gone][1]
             else:
@@ -213,10 +213,6 @@ def _list_end_times(
 def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
     spec = state.bench.stations[place].spec
     return spec.module == module and not spec.stands_apart and spec.kind != "waste"
-
-
-def _takes_last_from(step: PlanStep, place: StationName) -> bool:
-    return any(isinstance(e, Carrying) and e.emptied == place and not e.stock for e in step.effects)
 
 
 def _list_closing_times(

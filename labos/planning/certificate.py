@@ -18,6 +18,7 @@ from typing import Literal
 
 import msgspec
 
+from labos.core.branches import sort_by_predecessors
 from labos.core.model import MAIN, Plan, Workcell
 from labos.planning.forecast import MARGIN
 from labos.planning.timetable import find_before, find_occupied, find_setups
@@ -200,22 +201,10 @@ def _find_limits(plan: Plan, workcell: Workcell | None, order: Sequence[int], sp
 
 def find_order(plan: Plan) -> list[int]:
     """The steps of the workflow itself, each behind those that it waits for, else as they are written."""
-    before = {index: find_before(step) for index, step in enumerate(plan.steps) if step.part == MAIN}
-    followers: dict[int, list[int]] = {index: [] for index in before}
-    for index, steps in before.items():
-        before[index] = {step for step in steps if step in before}
-        for step in before[index]:
-            followers[step].append(index)
-    count = {index: len(steps) for index, steps in before.items()}
-    ready = [index for index in before if not count[index]]
-    order: list[int] = []
-    while ready:
-        order.append(heapq.heappop(ready))
-        for follower in followers[order[-1]]:
-            count[follower] -= 1
-            if not count[follower]:
-                heapq.heappush(ready, follower)
-    return order
+    main = {index: step for index, step in enumerate(plan.steps) if step.part == MAIN}
+    return sort_by_predecessors(
+        {index: [before for before in find_before(step) if before in main] for index, step in main.items()}
+    )
 
 
 # -- the network: of each step its start, the soonest at which it may end, and its end ----------------

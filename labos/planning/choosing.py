@@ -12,9 +12,9 @@ import msgspec
 
 from labos.core.decide.choices import BindAnew, can_change_to
 from labos.core.ids import ModuleName, local, workcell_of
-from labos.core.runs import SETTLED, RunState, find_chosen_modules, list_options
+from labos.core.runs import RunState, find_chosen_modules, list_options
 from labos.core.state import LabState
-from labos.planning.forecast import find_usual_time
+from labos.planning.forecast import find_usual_time, list_left
 from labos.planning.layout import is_down
 from labos.planning.safety import Safety
 from labos.planning.stuck import find_block
@@ -42,10 +42,8 @@ def _load(state: LabState, module: ModuleName, now: int) -> int:
     cell = workcell_of(module)
     total = 0
     for run in state.runs.list_inside(cell):
-        steps = state.runs.plan_of(run).steps
-        for index, step in enumerate(run.steps):
-            if steps[index].module == module and step.status not in SETTLED:
-                total += find_usual_time(state, steps[index])
+        own = (step for step in list_left(state, run) if step.module == module)
+        total += sum(find_usual_time(state, step) for step in own)
     for action in state.actions.list_in_cell(cell):
         if action.module == module:
             total -= max(0, now - action.requested_at)
@@ -64,7 +62,7 @@ def list_changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
     dead = {name for cell in cells for name in state.modules.in_cell.get(cell, ()) if is_down(state, name)}
     for name in list(state.runs.choosing) if dead else ():
         run = state.runs.active[name]
-        cause = next((module for module in _list_needed(state, run) if module in dead), None)
+        cause = next((step.module for step in list_left(state, run) if step.module in dead), None)
         if cause is None:
             continue
         for plan in run.choices:
@@ -72,15 +70,9 @@ def list_changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
             if (
                 plan == run.plan
                 or not can_change_to(state, run, plan)
-                or dead & set(_list_needed(state, option))
+                or any(step.module in dead for step in list_left(state, option))
             ):
                 continue
             if find_block(state, option) is None and safety.may_change(state, option):
                 yield BindAnew(run.id, plan, f"{local(cause)} cannot be used")
                 break
-
-
-def _list_needed(state: LabState, run: RunState) -> Iterator[ModuleName]:
-    """The modules of the steps that a run has yet to do."""
-    steps = state.runs.plan_of(run).steps
-    return (steps[i].module for i, step in enumerate(run.steps) if step.status not in SETTLED)

@@ -19,11 +19,11 @@ from labos.core.ids import ActionId, ModuleName, RunId
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s, examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, find_holds
+from labos.core.runs import PENDING, RunState, RunStatus, find_holds
 from labos.core.state import LabState
 from labos.core.together import find_together
 from labos.core.waits import Wait
-from labos.planning.forecast import find_pending_before, find_usual_time
+from labos.planning.forecast import find_pending_before, find_usual_time, list_left, list_ready_steps
 from labos.planning.ranking import Spot
 from labos.planning.stuck import find_block
 from labos.planning.touch import near_key
@@ -59,15 +59,9 @@ def _list_ready(state: LabState, run: RunState, module: ModuleName) -> Iterator[
     """A step of each other run inside whose turn it is on a module."""
     plan = state.runs.plan_of(run)
     for other in state.runs.list_inside(plan.workcell):
-        steps = state.runs.plan_of(other).steps if other.id != run.id else ()
-        for index, step in enumerate(steps):
-            if step.module == module and _is_next(other, step, index):
-                yield other, index
-                break
-
-
-def _is_next(run: RunState, step: PlanStep, index: int) -> bool:
-    return run.steps[index].status is PENDING and all(run.steps[at].status in SETTLED for at in step.after)
+        steps = state.runs.plan_of(other).steps
+        ready = list_ready_steps(state, other) if other.id != run.id else []
+        yield from [(other, index) for index in ready if steps[index].module == module][:1]
 
 
 def check_for_others(
@@ -125,8 +119,8 @@ def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
     """Whether the clock of a run is running that still needs a module, or a place there."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.active.get(name)
-        for step, at in zip(state.runs.plan_of(run).steps, run.steps, strict=True) if run else ():
-            if at.status not in SETTLED and (step.module == module or _reaches(state, step, module)):
+        for step in list_left(state, run) if run else ():
+            if step.module == module or _reaches(state, step, module):
                 return True
     return False
 

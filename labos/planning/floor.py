@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -50,6 +50,10 @@ class Actor(msgspec.Struct):
         """What it has to do before it is at its end."""
         return len(self.motions) + bool(self.forks)
 
+    def find_next_step(self) -> MotionStep | None:
+        """The step of its next motion; None behind its motions."""
+        return self.motions[self.done].step if self.done < len(self.motions) else None
+
     def begin(self, step: MotionStep) -> None:
         """It has begun a step: what is left is the rest."""
         self.motions = tuple(motion for motion in self.motions if motion.step != step)
@@ -59,14 +63,22 @@ class Actor(msgspec.Struct):
 
 Loans = tuple[tuple[StationName, Owner], ...]
 
+Change = tuple[dict[Any, Any], str, Any]
+"""A table of a floor or of an actor, the key whose value was changed, and the value before."""
+
+ABSENT: Final = object()
+"""In place of a value: there was none."""
+
 
 class Floor(msgspec.Struct):
     """How full the stations are, how much the stacks hold, who claims which deck, what users and
     everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``paths``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
+    ``held.py``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
     what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
     topmost can be had; what is lent to actors until their ends (``lent``: where it stands, whose it
-    is); and how the variables of modules stand that have no rest (``values``, by their keys)."""
+    is); and how the variables of modules stand that have no rest (``values``, by their keys).
+    ``changes`` were made one after the other since it was laid out or copied: motions are tried out and
+    taken back."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -78,9 +90,32 @@ class Floor(msgspec.Struct):
     held: dict[str, dict[str, Any]] = {}
     behind: dict[StationName, ModuleName] = {}
     arms: dict[StationName, ModuleName] = {}
-    piles: dict[StationName, list[str]] = {}
+    piles: dict[StationName, tuple[str, ...]] = {}
     lent: dict[str, Loans] = {}
     values: dict[str, Any] = {}
+    changes: list[Change] = []
+
+    def put(self, table: dict[Any, Any], key: str, value: Any) -> None:
+        """Let a table of the floor, or of an actor on it, have a value."""
+        self.changes.append((table, key, table.get(key, ABSENT)))
+        table[key] = value
+
+    def add(self, counts: dict[Any, int], key: str, change: int) -> None:
+        """Let a count be so much greater."""
+        self.put(counts, key, counts.get(key, 0) + change)
+
+    def drop(self, table: dict[Any, Any], key: str) -> None:
+        """Let a table have no value any more for a key that it has."""
+        self.changes.append((table, key, table.pop(key)))
+
+    def take_back(self, mark: int) -> None:
+        """Undo all changes but the first ``mark``."""
+        while len(self.changes) > mark:
+            table, key, before = self.changes.pop()
+            if before is ABSENT:
+                del table[key]
+            else:
+                table[key] = before
 
 
 def is_closing(motion: Motion) -> bool:
@@ -91,12 +126,9 @@ def is_closing(motion: Motion) -> bool:
 UNSETTLED = object()
 """The value of a variable that may be one or the other."""
 
-Counts = dict[StationName, int]
-
 
 def change_claim(floor: Floor, station: StationName, who: str, change: int) -> None:
     """So much more labware of somebody stands where it claims a deck."""
     claim = floor.claims.get(station)
     if claim and who:
-        holders = floor.claimed.setdefault(claim, {})
-        holders[who] = holders.get(who, 0) + change
+        floor.add(floor.claimed.setdefault(claim, {}), who, change)

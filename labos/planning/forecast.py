@@ -6,7 +6,7 @@ must hold rests on it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 
 from labos.core.actions import Action
@@ -14,8 +14,9 @@ from labos.core.algebra import compute_settings_after, list_away_from_rest
 from labos.core.effects import Carrying, list_carried
 from labos.core.ids import StationName, module_key, station_key, zone_key
 from labos.core.model import Plan, PlanStep, Window
+from labos.core.plans import PlanState
 from labos.core.rules import convert_lab_s
-from labos.core.runs import PENDING, RunState, find_anchor
+from labos.core.runs import PENDING, SETTLED, RunState, find_anchor
 from labos.core.state import LabState
 from labos.core.zones import find_zones
 
@@ -71,6 +72,41 @@ def find_spread(state: LabState, step: PlanStep) -> int:
 def is_pending(run: RunState, index: int) -> bool:
     """Whether a step has not started, also of a run that has not."""
     return not run.has_started or run.steps[index].status == PENDING
+
+
+def list_ready_steps(state: LabState, run: RunState) -> list[int]:
+    """Steps whose turn it is: pending, with everything before them done."""
+    plan, steps = state.runs.plan_of(run), run.steps
+    found: list[int] = []
+    for index, step in enumerate(steps):
+        if step.status is PENDING:
+            for before in plan.steps[index].after:
+                if steps[before].status not in SETTLED:
+                    break
+            else:
+                found.append(index)
+    return found
+
+
+def list_left(state: LabState, run: RunState) -> list[PlanStep]:
+    """The steps of a run inside that are not over."""
+    steps = state.runs.plan_of(run).steps
+    return [step for step, at in zip(steps, run.steps, strict=True) if at.status not in SETTLED]
+
+
+def list_clocked(plan: PlanState, index: int) -> list[int]:
+    """The steps that have to follow the end of this one in time."""
+    return [
+        follower
+        for follower in plan.windowed
+        for window in plan.plan.steps[follower].windows
+        if window.anchor == index and window.within_s is not None
+    ]
+
+
+def takes_from(step: PlanStep, place: StationName) -> bool:
+    """Whether a step carries labware away from a place."""
+    return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
 
 def find_pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
@@ -146,11 +182,7 @@ def _list_arrivals(
     station = state.bench.stations[place]
     if station.spec.kind == "waste":
         return
-
-    def leaves(step: PlanStep) -> bool:
-        return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
-
-    stay = _measure_until(state, run, index, now, leaves)
+    stay = _measure_until(state, run, index, now, lambda step: takes_from(step, place))
     if station.count + 1 >= station.spec.capacity:
         yield station_key(place), stay
     if (station.spec.claim or station.spec.kind == "gripper") and station.spec.module:
@@ -180,6 +212,25 @@ def _measure_to_end(state: LabState, run: RunState, index: int, last: int, now: 
             time = begin + find_longest_time(state, plan.steps[step]) - now
             known[step] = now + time
     return time
+
+
+def find_latest_starts(
+    state: LabState,
+    plan: Plan,
+    chain: Sequence[int],
+    due: int,
+    find_time: Callable[[LabState, PlanStep], int],
+) -> dict[int, int]:
+    """When steps have to start at the latest so that the last one of them starts when it is due (UTC ns)."""
+    latest = dict.fromkeys(chain, due)
+    for follower in reversed(chain):
+        step = plan.steps[follower]
+        for before in step.after:
+            if before in latest:
+                wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
+                takes = find_time(state, plan.steps[before]) + convert_lab_s(state, wait_s)
+                latest[before] = min(latest[before], latest[follower] - takes)
+    return latest
 
 
 def find_earliest_start(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:

@@ -15,30 +15,16 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-import msgspec
-
 from labos.core.branches import Way, find_decided, may_leave_out
 from labos.core.effects import NOWHERE, Relid, Unlid, list_arrivals
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Plan
 from labos.core.runs import DONE, IN_FLIGHT, PENDING, SKIPPED, UNKNOWN, RunState, StepStatus, find_results
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Branch, Floor, change_claim
-from labos.planning.moves import Undo, may_move, move, take_back
+from labos.planning.moves import may_move, move
 from labos.planning.paths import FORKED, Motion, Path, carry, name_leftover_owner
 
 FORK = Motion(FORKED)
-
-Change = tuple[dict[Any, int], Any, int]
-
-
-class ActorEnds(msgspec.Struct):
-    """How an actor came to all its ends: the motions of one branch, carried out, what had to be added to
-    counts for the others, and how variables stood that they leave otherwise."""
-
-    motions: list[tuple[Motion, Undo | None]]
-    changes: list[Change]
-    values: list[tuple[str, Any]]
-
 
 # -- which branches are left ---------------------------------------------------------------------
 
@@ -176,75 +162,49 @@ def list_motions(path: Path, step: int) -> list[Motion]:
 # -- all branches at once ------------------------------------------------------------------------
 
 
-def finish(floor: Floor, actor: Actor) -> ActorEnds | None:
-    """Let an actor that stands before its fork go to its end on every branch; None, and nothing
-    changed, if one of them is blocked. What the floor holds then is the worst of all ends."""
-    ends: list[dict[int, dict[Any, int]]] = []
+def finish(floor: Floor, actor: Actor) -> bool:
+    """Let an actor that stands before its fork go to its end on every branch; False, and nothing changed, if
+    one of them is blocked. What the floor holds then is the worst of all ends."""
+    mark = len(floor.changes)
+    ends: list[list[dict[Any, int]]] = []
     values: list[dict[str, Any]] = []
-    last: list[tuple[Motion, Undo | None]] = []
     lasting = [branch for branch in actor.forks if not branch.fails]
     for branch in [*(b for b in actor.forks if b.fails), *reversed(lasting)]:
-        _take_back_all(floor, actor, last)
-        last = []
+        floor.take_back(mark)
         for motion in branch.motions:
             if not may_move(floor, actor, motion):
-                _take_back_all(floor, actor, last)
-                return None
-            last.append((motion, move(floor, actor, motion)))
+                floor.take_back(mark)
+                return False
+            move(floor, actor, motion)
         if not branch.fails:
             values.append(dict(floor.values))
-            ends.append({number: dict(table) for number, table in enumerate(_list_tables(floor, actor))})
+            ends.append([dict(table) for table in _list_tables(floor, actor)])
     if not lasting:
-        _take_back_all(floor, actor, last)
-        hands_over = [motion for branch in actor.forks[:1] for motion in branch.motions if motion.heir]
-        last = [(motion, move(floor, actor, motion)) for motion in hands_over]
-    changes: list[Change] = []
+        floor.take_back(mark)
+        for motion in actor.forks[0].motions if actor.forks else ():
+            if motion.heir:
+                move(floor, actor, motion)
     for number, table in enumerate(_list_tables(floor, actor)):
         worst = max if number < 3 else min
         for end in ends:
             for key in end[number].keys() | table.keys():
-                value = worst(table.get(key, 0), end[number].get(key, 0))
-                change = value - table.get(key, 0)
+                change = worst(table.get(key, 0), end[number].get(key, 0)) - table.get(key, 0)
                 if change:
-                    changes.append((table, key, change))
-                    table[key] = value
-    _claim(floor, actor, changes, 1)
-    unsettled = [
-        (key, value)
-        for key, value in (floor.values.items() if values else ())
-        if any(other.get(key) != value for other in values)
-    ]
-    floor.values.update((key, UNSETTLED) for key, _ in unsettled)
-    return ActorEnds(last, changes, unsettled)
-
-
-def undo_finish(floor: Floor, actor: Actor, ends: ActorEnds) -> None:
-    """Take back what ``finish`` did."""
-    floor.values.update(ends.values)
-    _claim(floor, actor, ends.changes, -1)
-    for table, key, change in reversed(ends.changes):
-        table[key] = table.get(key, 0) - change
-    _take_back_all(floor, actor, ends.motions)
+                    floor.add(table, key, change)
+                    if number in (1, 2):
+                        change_claim(floor, key, actor.name if number == 1 else OTHERS, change)
+    for key, value in list(floor.values.items()) if values else ():
+        if any(other.get(key) != value for other in values):
+            floor.put(floor.values, key, UNSETTLED)
+    return True
 
 
 def _list_tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
-    """Counts of which the others would rather see less (three), then those of which they want more."""
+    """Counts of which the others would rather see less (of all labware, of the actor's, of what it leaves),
+    then those of which they want more."""
     pools = [floor.pools[owner] for owner in actor.inputs if owner in floor.pools]
     left = floor.pools.setdefault(name_leftover_owner(actor.home), {}) if actor.home else {}
     return [floor.count, actor.own, left, floor.stock, *pools]
 
 
-def _claim(floor: Floor, actor: Actor, changes: list[Change], sign: int) -> None:
-    for table, key, change in changes:
-        if table is actor.own:
-            change_claim(floor, key, actor.name, sign * change)
-        elif actor.home and table is floor.pools.get(name_leftover_owner(actor.home)):
-            change_claim(floor, key, OTHERS, sign * change)
-
-
-def _take_back_all(floor: Floor, actor: Actor, trail: list[tuple[Motion, Undo | None]]) -> None:
-    for motion, taken in reversed(trail):
-        take_back(floor, actor, motion, taken)
-
-
-__all__ = ["FORK", "ActorEnds", "find_branches", "finish", "list_motions", "undo_finish"]
+__all__ = ["FORK", "find_branches", "finish", "list_motions"]

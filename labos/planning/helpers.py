@@ -17,7 +17,7 @@ from labos.core.rules import examine
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait, list_party
-from labos.planning.forecast import find_pending_before, is_pending
+from labos.planning.forecast import find_pending_before, is_pending, takes_from
 from labos.planning.layout import find_destination, list_labware_in
 from labos.planning.safety import Safety
 
@@ -137,7 +137,7 @@ class _Search:
         self.found.runs[name] = True
         plan = self.state.runs.plan_of(run)
         pending = [index for index in range(len(plan.steps)) if is_pending(run, index)]
-        leaving = next((index for index in pending if _takes_from(plan.steps[index], place)), None)
+        leaving = next((index for index in pending if takes_from(plan.steps[index], place)), None)
         steps = pending if place == ANYWHERE or leaving is None else find_pending_before(run, plan, leaving)
         self.add_blockers(run, set(steps))
 
@@ -162,11 +162,7 @@ class _Search:
 
 def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
     steps = state.runs.plan_of(run).steps
-    return any(is_pending(run, index) and _takes_from(step, place) for index, step in enumerate(steps))
-
-
-def _takes_from(step: PlanStep, place: StationName) -> bool:
-    return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
+    return any(is_pending(run, index) and takes_from(step, place) for index, step in enumerate(steps))
 
 
 class _Clearing:

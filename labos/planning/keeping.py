@@ -32,7 +32,7 @@ from labos.planning.punctual import PunctualOrders
 from labos.planning.rehearsal import NO_ADVICE, Advice, RehearsalResult, play
 from labos.planning.safety import Safety
 from labos.planning.scene import Scene
-from labos.planning.suggested import find_order, find_suggested_order, find_suggested_times
+from labos.planning.suggested import bring_forward, find_order, find_suggested_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
@@ -52,26 +52,38 @@ ALONE_LIMIT = 8
 class CellOutlook:
     """How a workcell goes on from one position of the log and one time: who has to start something in time
     (``obliged``), what each of them has to wait for, and what comes of it; ``as_suggested`` if that is what a
-    planner suggested. Its scene is set when somebody needs it."""
+    planner suggested. Its scene is set when somebody needs it. Where one run has the workcell to itself,
+    nobody can be trapped, and ``safety`` is not asked."""
 
-    def __init__(self, state: LabState, cell: str, now: int, obliged: list[RunState], advice: Advice) -> None:
-        self.cell, self.now = cell, now
+    def __init__(
+        self,
+        state: LabState,
+        safety: Safety | None,
+        cell: str,
+        now: int,
+        obliged: list[RunState],
+        advice: Advice,
+        scene: Scene | None = None,
+    ) -> None:
+        self.state, self.safety, self.cell, self.now = state, safety, cell, now
         self.obliged, self.advice, self.outcome = obliged, advice, RehearsalResult()
         self.as_suggested = False
-        self._state = state
-        self._scene: Scene | None = None
+        self._scene = scene
 
     @property
     def scene(self) -> Scene:
         if self._scene is None:
-            self._scene = Scene(self._state, self.cell, self.now)
+            self._scene = Scene(self.state, self.cell, self.now)
         return self._scene
 
     def with_run_alone(self, run: RunState) -> CellOutlook:
         """The same, if nobody but a run were there."""
-        other = CellOutlook(self._state, self.cell, self.now, [], NO_ADVICE)
-        other._scene = self.scene.with_run_alone(run)
-        return other
+        scene = self.scene.with_run_alone(run)
+        return CellOutlook(self.state, None, self.cell, self.now, [], NO_ADVICE, scene)
+
+    def follow(self, advice: Advice) -> CellOutlook:
+        """The same, with other advice."""
+        return CellOutlook(self.state, self.safety, self.cell, self.now, self.obliged, advice, self.scene)
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -83,27 +95,38 @@ class Trial(msgspec.Struct, frozen=True):
     step: int
     known: set[Step]
 
+    @property
+    def who(self) -> Step:
+        return str(self.run.id if self.run is not None else ""), self.step
+
     def list_newly_late(self, outcome: RehearsalResult) -> list[Step]:
         """Who is late beside those, the first one first."""
         return [who for who in outcome.late if who not in self.known]
+
+    def has_fault(self, outcome: RehearsalResult) -> bool:
+        """Whether anybody is late beside those, or a step could not follow in time any more."""
+        return bool(self.list_newly_late(outcome)) or outcome.tangle is not None
+
+
+Standing = dict[str, tuple[StepStatus, ...]]
+"""How far the runs inside have come."""
 
 
 class Windows:
     """Judges starts in one state after the other. ``plays`` counts rehearsals."""
 
-    def __init__(self, limit: int = SEARCH_LIMIT, own: dict[str, OrderSuggested] | None = None) -> None:
+    def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.plays = 0
         self._own = own if own is not None else {}
-        self._limit = limit
         self._at: tuple[int, int] | None = None
         self._plans: dict[str, CellOutlook] = {}
         self._advice: dict[str, Advice] = {}
         self._tried: dict[Step, tuple[Advice, list[Step]]] = {}
-        self._hopeless: dict[Step, bool] = {}
+        self._hopeless: set[Step] = set()
         self._anxious: dict[Step, frozenset[ModuleName]] = {}
         self._met: dict[Step, set[str]] = {}
-        self._at_rest: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
-        self._put_off: dict[Step, tuple[dict[str, tuple[StepStatus, ...]], int]] = {}
+        self._at_rest: dict[Step, tuple[Standing, int]] = {}
+        self._put_off: dict[Step, tuple[Standing, int]] = {}
         self._punctual = PunctualOrders()
 
     def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
@@ -118,7 +141,7 @@ class Windows:
             return suggested if suggested > now else FAR
         if found <= now or run.has_started:
             return found
-        return now if self._is_as_suggested(state, plan, run, step, safety) else found
+        return now if self._is_as_suggested(self._make_trial(plan, run, step)) else found
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if it may go ahead."""
@@ -129,61 +152,57 @@ class Windows:
         if what.plan.steps[step].recovers:
             return None  # no run that needs the module can go on before
         plan = self._plan(state, what.plan.workcell, now, safety)
-        waits = self._hold_off(state, plan, run, step, now)
+        trial = self._make_trial(plan, run, step)
+        waits = self._hold_off(trial)
         if waits is not None:
             return waits
         if not plan.obliged and not follow:
-            return self._find_tangle(state, plan, run, step, safety)
-        who = (str(run.id), step)
+            return self._find_tangle(trial)
+        who = trial.who
         self._anxious.pop(who, None)
-        trial = Trial(plan, run, step, set(plan.outcome.late) | set(self._hopeless))
-        advice, found = self._search(state, trial, safety, forced=True, limit=1)
+        advice, found = self._search(trial, forced=True, limit=1)
         if any(late[0] == who[0] for late in trial.list_newly_late(found)):
-            trial.known.update(self._list_late_alone(state, trial))
+            trial.known.update(self._list_late_alone(trial))
         at_first = trial.list_newly_late(found)
         behind = at_first[:1] or ([found.tangle] if found.tangle is not None else [])
         if behind and plan.as_suggested and plan.scene.flying:
             # Somebody has planned all of it, and it goes as planned: nothing better is looked for.
-            return self._wait(state, plan, run, step, behind[0])
+            return self._wait(trial, behind[0])
         if behind:
-            advice, found = self._search(state, trial, safety, forced=True)
+            advice, found = self._search(trial, forced=True)
         late = trial.list_newly_late(found)
         others = [other for other in late if other[0] != who[0]]
+        named, again = found.tangle, now
         if others:
             running = {str(other.id) for other in plan.obliged}
             at_stake = any(other[0] in running for other in others)
             # Whose clock does not run yet is only foreseen to be late: it is not waited for without end.
-            again = FAR if at_stake else self._find_rest_time(state, plan, who)
-            if again > now:
-                return self._wait(state, plan, run, step, others[0], again)
+            named, again = others[0], FAR if at_stake else self._find_rest_time(trial)
         elif late:
-            again = self._find_better_time(state, trial, safety)
-            if again > now:
-                named = next(other for other in (*at_first, *late) if other[0] == who[0])
-                return self._wait(state, plan, run, step, named, again)
+            named = next(other for other in (*at_first, *late) if other[0] == who[0])
+            again = self._find_better_time(trial)
         elif found.tangle is not None:
-            again = self._find_rest_time(state, plan, who)
-            if again > now:
-                return self._wait(state, plan, run, step, found.tangle, again)
+            again = self._find_rest_time(trial)
+        if named is not None and again > now:
+            return self._wait(trial, named, again)
         self._anxious.pop(who, None)
         self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
         return None
 
-    def _is_as_suggested(
-        self, state: LabState, plan: CellOutlook, run: RunState, step: int, safety: Safety
-    ) -> bool:
+    def _make_trial(self, plan: CellOutlook, run: RunState | None, step: int) -> Trial:
+        return Trial(plan, run, step, set(plan.outcome.late) | self._hopeless)
+
+    def _is_as_suggested(self, trial: Trial) -> bool:
         """Whether a run is to be let in now by the suggested order, and all windows are kept with it."""
-        suggested = self._find_suggested_advice(state, plan.cell, plan.now)
-        if suggested is None or not _is_on_time(state, suggested, plan.now):
+        plan, who = trial.plan, trial.who
+        suggested = self._find_suggested_advice(plan.state, plan.cell, plan.now)
+        if suggested is None or not _is_on_time(plan.state, suggested, plan.now):
             return False
-        who = (str(run.id), step)
         if suggested.not_before.get(who, FAR) > plan.now:
             return False
         advice = suggested.let_leave(who[0])
-        known = set(plan.outcome.late) | set(self._hopeless)
-        trial = Trial(_follow(plan, advice), run, step, known)
-        _, found = self._search(state, trial, safety, forced=True, limit=1)
-        if trial.list_newly_late(found) or found.tangle is not None:
+        trial = msgspec.structs.replace(trial, plan=plan.follow(advice))
+        if trial.has_fault(self._search(trial, forced=True, limit=1)[1]):
             return False
         self._anxious.pop(who, None)
         self._tried[who] = advice, []
@@ -196,7 +215,9 @@ class Windows:
         times = find_suggested_times(state, find_order(state, self._own, cell, now), now)
         if not times:
             return None
-        goes_on = {run.id for run in _list_inside(state, cell) if not run.paused and not run.is_ending}
+        times = bring_forward(state, times, now)
+        inside = state.runs.list_inside(cell)
+        goes_on = {run.id for run in inside if not run.paused and not run.is_ending}
         if find_suggested_order(state, cell, now) is not None:
             goes_on |= {run for (run, _), at in times.items() if at <= now}
         return Advice(
@@ -204,19 +225,18 @@ class Windows:
             leaving=frozenset(str(run) for run, _ in times if run in goes_on),
         )
 
-    def _find_better_time(self, state: LabState, trial: Trial, safety: Safety) -> int:
+    def _find_better_time(self, trial: Trial) -> int:
         """When a step had better start that would be followed too late if it started now; ``now`` if there is
         no use in waiting."""
-        run, now = trial.run, trial.plan.now
+        run, state, now, who = trial.run, trial.plan.state, trial.plan.now, trial.who
         assert run is not None
-        who = (str(run.id), trial.step)
-        _, later = self._search(state, trial, safety)
+        _, later = self._search(trial)
         at = later.starts.get(who, now)
-        found = not trial.list_newly_late(later) and later.tangle is None and at > now
-        others = _list_inside(state, trial.plan.cell)
-        here = {str(other.id): tuple(other.statuses) for other in others}
+        found = not trial.has_fault(later) and at > now
+        others = state.runs.list_inside(trial.plan.cell)
+        here = _describe_standing(others)
         if found:
-            # What was to go first may not be let go by safety: it is put off once, not again and again.
+            # What was to go first may not be started by safety: it is put off once, not again and again.
             put_off = self._put_off.get(who)
             if put_off is None or put_off[0] != here:
                 self._put_off[who] = here, at
@@ -225,71 +245,69 @@ class Windows:
         inside = {str(other.id) for other in others} - {who[0]}
         if not found or (inside and not inside & self._met.setdefault(who, inside)):
             # Nobody is left of those whom it met: it has waited long enough for who came later.
-            chain = find_chained(run, state.runs.plan_of(run), [trial.step])
-            self._anxious[who] = frozenset(state.runs.plan_of(run).steps[i].module for i in chain)
-        return at if found else self._find_rest_time(state, trial.plan, who)
+            plan = state.runs.plan_of(run)
+            self._anxious[who] = frozenset(plan.steps[i].module for i in find_chained(run, plan, [who[1]]))
+        return at if found else self._find_rest_time(trial)
 
-    def _find_rest_time(self, state: LabState, plan: CellOutlook, who: Step) -> int:
+    def _find_rest_time(self, trial: Trial) -> int:
         """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
         event. What nobody knows the end of does not go on."""
-        inside = _list_inside(state, plan.cell)
+        plan, who = trial.plan, trial.who
+        inside = plan.state.runs.list_inside(plan.cell)
         if any(end < FAR for end, *_ in plan.scene.flying):
             self._at_rest.pop(who, None)
             return FAR
-        later = max((_find_next_start(state, run) for run in inside), default=0)
+        later = max((_find_next_start(plan.state, run) for run in inside), default=0)
         if later > plan.now:
             self._at_rest.pop(who, None)
             return later
-        here = {str(run.id): tuple(run.statuses) for run in inside}
+        here = _describe_standing(inside)
         known, since = self._at_rest.get(who, (None, plan.now))
         if known != here:
             self._at_rest[who] = here, plan.now
             since = plan.now
-        return max(plan.now, since + convert_lab_s(state, CALM_S))
+        return max(plan.now, since + convert_lab_s(plan.state, CALM_S))
 
-    def _find_tangle(
-        self, state: LabState, plan: CellOutlook, run: RunState, step: int, safety: Safety
-    ) -> Wait | None:
+    def _find_tangle(self, trial: Trial) -> Wait | None:
         """A start waits after which some step could not follow in time any more, whoever goes first: it
         is started all the same when nothing else goes on."""
-        if run.has_started and not safety.changes_anything(state, run, step):
+        run, plan = trial.run, trial.plan
+        assert run is not None
+        assert plan.safety is not None
+        if run.has_started and not plan.safety.changes_anything(plan.state, run, trial.step):
             return None
-        who = (str(run.id), step)
-        late = find_late_step(state, plan.cell, [who], safety)
-        if late is None or find_late_step(state, plan.cell, [], safety) is not None:
+        late = find_late_step(plan.state, plan.cell, [trial.who], plan.safety)
+        if late is None or find_late_step(plan.state, plan.cell, [], plan.safety) is not None:
             return None
-        again = self._find_rest_time(state, plan, who)
-        return self._wait(state, plan, run, step, late, again) if again > plan.now else None
+        again = self._find_rest_time(trial)
+        return self._wait(trial, late, again) if again > plan.now else None
 
-    def _hold_off(
-        self, state: LabState, plan: CellOutlook, run: RunState, step: int, now: int
-    ) -> Wait | None:
+    def _hold_off(self, trial: Trial) -> Wait | None:
         """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
-        if run.has_started or not self._anxious:
+        run, state, now = trial.run, trial.plan.state, trial.plan.now
+        if run is None or run.has_started or not self._anxious:
             return None
         mine = {item.module for item in state.runs.plan_of(run).steps}
         for (name, index), modules in self._anxious.items():
-            other = state.runs.get(RunId(name))
+            other = state.runs.get(name)
             if other is None or other.id == run.id or not (mine & modules):
                 continue
             if not other.has_started and other.position > run.position:
                 continue
             if not isinstance(examine(state, other, index, now), Wait):
                 # The other one may find a better time, which is no event: looked at again soon.
-                again = plan.now + convert_lab_s(state, CALM_S)
-                return self._wait(state, plan, run, step, (name, index), again)
+                return self._wait(trial, (name, index), now + convert_lab_s(state, CALM_S))
         return None
 
-    def _list_late_alone(self, state: LabState, trial: Trial) -> list[Step]:
+    def _list_late_alone(self, trial: Trial) -> list[Step]:
         """Which windows of a run could not be kept if it had the workcell to itself from now on."""
         assert trial.run is not None
         alone = Trial(trial.plan.with_run_alone(trial.run), trial.run, trial.step, set())
-        return list(self._search(state, alone, None, limit=ALONE_LIMIT)[1].late)
+        return list(self._search(alone, limit=ALONE_LIMIT)[1].late)
 
     def remember(self, other: Windows) -> None:
         """Take over what another one has in mind beside the state."""
-        self._advice = dict(other._advice)
-        self._hopeless = dict(other._hopeless)
+        self._advice, self._hopeless = dict(other._advice), set(other._hopeless)
         self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
         self._anxious, self._met = dict(other._anxious), dict(other._met)
         self._punctual = other._punctual
@@ -304,16 +322,12 @@ class Windows:
                 run = state.runs.active.get(RunId(name))
                 if run is not None and run.steps[step].status != PENDING:
                     self._advice[state.runs.plan_of(run).workcell] = advice
-                    self._hopeless.update(dict.fromkeys(hopeless, True))
+                    self._hopeless.update(hopeless)
             self._tried.clear()
-            known = {*self._at_rest, *self._put_off, *self._anxious, *self._met}
-            for who in [who for who in known if not _is_waiting(state, who)]:
-                self._at_rest.pop(who, None)
-                self._put_off.pop(who, None)
-                self._anxious.pop(who, None)
-                self._met.pop(who, None)
-            for who in [who for who in self._hopeless if RunId(who[0]) not in state.runs.windowed]:
-                del self._hopeless[who]
+            for store in (self._at_rest, self._put_off, self._anxious, self._met):
+                for who in [who for who in store if not _is_waiting(state, who)]:
+                    del store[who]
+            self._hopeless = {who for who in self._hopeless if who[0] in state.runs.windowed}
         found = self._plans.get(cell)
         if found is None:
             found = self._plans[cell] = self._make_plan(state, cell, now, safety)
@@ -323,102 +337,87 @@ class Windows:
     def _make_plan(self, state: LabState, cell: str, now: int, safety: Safety) -> CellOutlook:
         obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
-        plan = CellOutlook(state, cell, now, obliged, before)
+        plan = CellOutlook(state, safety, cell, now, obliged, before)
         starts = self._punctual.find_starts(state, cell, now)
         suggested = self._find_suggested_advice(state, cell, now) if starts or obliged else None
         if starts and suggested is not None:
             plan.advice, plan.outcome, plan.as_suggested = suggested, RehearsalResult(starts), True
             return plan
         if obliged:
-            trial = Trial(plan, None, 0, set(self._hopeless))
+            trial = self._make_trial(plan, None, 0)
             if suggested is not None and _is_on_time(state, suggested, now):
                 # What somebody has planned for all of them comes first, if it keeps all windows.
                 plan.advice = suggested
-                _, plan.outcome = self._search(state, trial, safety, limit=1)
-                if not trial.list_newly_late(plan.outcome) and plan.outcome.tangle is None:
+                _, plan.outcome = self._search(trial, limit=1)
+                if not trial.has_fault(plan.outcome):
                     plan.as_suggested = find_suggested_order(state, cell, now) is not None
                     return plan
                 plan.advice = before
-            plan.advice, plan.outcome = self._search(state, trial, safety)
+            plan.advice, plan.outcome = self._search(trial)
         return plan
 
     # -- searching -----------------------------------------------------------------------------
 
     def _search(
-        self, state: LabState, trial: Trial, safety: Safety | None, *, forced: bool = False, limit: int = 0
+        self, trial: Trial, *, forced: bool = False, limit: int = SEARCH_LIMIT
     ) -> tuple[Advice, RehearsalResult]:
         """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
-        plan, run = trial.plan, trial.run
-        start = (str(run.id), trial.step) if run is not None and forced else None
-        limit = limit or self._limit
+        plan = trial.plan
+        start = trial.who if trial.run is not None and forced else None
+        tried: list[tuple[tuple[int, int], int, Advice, RehearsalResult]] = []
+        open_: list[tuple[tuple[int, int], int, Advice, RehearsalResult]] = []
 
-        def rank(outcome: RehearsalResult) -> tuple[int, int]:
-            late = trial.list_newly_late(outcome)
-            return len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
-
-        def rehearse(advice: Advice) -> RehearsalResult:
+        def rehearse(advice: Advice) -> None:
             self.plays += 1
-            players = _make_players(state, plan, advice, run, trial.step)
-            outcome = play(plan.scene.copy(), players, advice, start)
-            if safety is not None and not trial.list_newly_late(outcome):
-                _find_trap(state, plan, outcome, safety)
-            return outcome
+            outcome = play(plan.scene.copy(), _make_players(trial, advice), advice, start)
+            if not trial.list_newly_late(outcome):
+                _find_trap(plan, outcome)
+            late = trial.list_newly_late(outcome)
+            rank = len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
+            tried.append((rank, len(tried), advice, outcome))
+            heapq.heappush(open_, tried[-1])
 
-        first = rehearse(plan.advice)
-        best = (rank(first), plan.advice, first)
-        open_ = [(*best[0], 0, plan.advice, first)]
-        seen = {_make_key(plan.advice)}
-        tried = 1
-        suggested = (
-            self._find_suggested_advice(state, plan.cell, plan.now) if best[0][0] and tried < limit else None
-        )
+        def goes_on() -> bool:
+            return min(tried)[0][0] > 0 and len(tried) < limit
+
+        rehearse(plan.advice)
+        suggested = self._find_suggested_advice(plan.state, plan.cell, plan.now) if goes_on() else None
         if suggested is not None:
-            tried += 1
-            found = rehearse(suggested)
-            seen.add(_make_key(suggested))
-            heapq.heappush(open_, (*rank(found), tried, suggested, found))
-            if rank(found) < best[0]:
-                best = (rank(found), suggested, found)
-        while open_ and best[0][0] and tried < limit:
+            rehearse(suggested)
+        while open_ and goes_on():
             *_, advice, outcome = heapq.heappop(open_)
             late = next(iter(trial.list_newly_late(outcome)), None)
-            for option in list_options(state, run, advice, outcome, late, start) if late is not None else ():
-                if _make_key(option) in seen or tried >= limit:
-                    continue
-                seen.add(_make_key(option))
-                tried += 1
-                found = rehearse(option)
-                heapq.heappush(open_, (*rank(found), tried, option, found))
-                if rank(found) < best[0]:
-                    best = (rank(found), option, found)
-                if not best[0][0]:
-                    break
-        return best[1], best[2]
+            options = list_options(plan.state, trial.run, advice, outcome, late, start) if late else ()
+            for option in options:
+                if goes_on() and all(option != known for *_, known, _ in tried):
+                    rehearse(option)
+        *_, advice, outcome = min(tried)
+        return advice, outcome
 
     # -- explaining ----------------------------------------------------------------------------
 
-    def _wait(
-        self, state: LabState, plan: CellOutlook, run: RunState, step: int, late: Step, again: int = FAR
-    ) -> Wait:
+    def _wait(self, trial: Trial, late: Step, again: int = FAR) -> Wait:
         """A start waits since somebody would be late, at least until something may be otherwise."""
-        whose, now = state.runs.get(RunId(late[0])), plan.now
+        run, plan, state = trial.run, trial.plan, trial.plan.state
+        whose = state.runs.get(late[0])
+        assert run is not None
         assert whose is not None
-        key, late_key = state.runs.plan_of(run).steps[step].key, state.runs.plan_of(whose).steps[late[1]].key
-        itself = whose.id == run.id
-        why = reasons.FollowsLate if itself else reasons.WouldDelay
-        mine = plan.advice.not_before.get((str(run.id), step), FAR)
+        key = state.runs.plan_of(run).steps[trial.step].key
+        late_key = state.runs.plan_of(whose).steps[late[1]].key
+        why = reasons.FollowsLate if whose.id == run.id else reasons.WouldDelay
+        mine = plan.advice.not_before.get(trial.who, FAR)
         times = [again, mine, *plan.outcome.starts.values(), *(end for end, *_ in plan.scene.flying)]
         modules = [module_key(item[3].module) for item in plan.scene.flying]
         windows = [window_key(other.id) for other in plan.obliged]
         return Wait(
             why(key, late[0], late_key),
             tuple(dict.fromkeys([cell_key(plan.cell), *windows, *modules])),
-            until=min((at for at in times if now < at < FAR), default=None),
+            until=min((at for at in times if plan.now < at < FAR), default=None),
         )
 
 
-def _list_inside(state: LabState, cell: str) -> list[RunState]:
-    return state.runs.list_inside(cell)
+def _describe_standing(inside: Iterable[RunState]) -> Standing:
+    return {str(run.id): tuple(run.statuses) for run in inside}
 
 
 def _find_next_start(state: LabState, run: RunState) -> int:
@@ -435,7 +434,7 @@ def _find_next_start(state: LabState, run: RunState) -> int:
 
 def _is_waiting(state: LabState, who: Step) -> bool:
     """Whether a step has not been started."""
-    run = state.runs.get(RunId(who[0]))
+    run = state.runs.get(who[0])
     return run is not None and is_pending(run, who[1])
 
 
@@ -465,57 +464,34 @@ def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bo
     )
 
 
-def _make_players(
-    state: LabState, plan: CellOutlook, advice: Advice, run: RunState | None, step: int
-) -> Iterable[Player]:
-    mine = [run] if run is not None else []
-    ends: dict[str, dict[int, int]] = {}
-    for end, _, (name, index), *_ in plan.scene.flying:
-        ends.setdefault(name, {})[index] = end
-
-    def player(who: RunState, *, free: bool, first: Iterable[int] = ()) -> Player:
-        return Player(state, who, dict(ends.get(who.id, {})), free=free, first=first)
-
-    for other in {r.id: r for r in [*plan.obliged, *mine]}.values():
-        first = [step] if run is not None and other.id == run.id else []
-        yield player(other, free=other.id in advice.leaving, first=first)
-    names = {str(other.id) for other in [*plan.obliged, *mine]}
-    for name in sorted(advice.leaving - names):
-        leaving = state.runs.get(RunId(name))
-        if leaving is not None and not find_holds(leaving) and not leaving.is_ending:
-            yield player(leaving, free=True)
+def _make_players(trial: Trial, advice: Advice) -> Iterable[Player]:
+    plan, state, ends = trial.plan, trial.plan.state, trial.plan.scene.list_ends()
+    obliged = {str(run.id): run for run in [*plan.obliged, *([trial.run] if trial.run is not None else [])]}
+    leaving = [state.runs.get(name) for name in sorted(advice.leaving - obliged.keys())]
+    going = [run for run in leaving if run is not None and not find_holds(run) and not run.is_ending]
+    for run in (*obliged.values(), *going):
+        name = str(run.id)
+        first = [trial.step] if trial.run is not None and run.id == trial.run.id else []
+        yield Player(state, run, ends.get(name, {}), free=name in advice.leaving, first=first)
 
 
-def _find_trap(state: LabState, plan: CellOutlook, outcome: RehearsalResult, safety: Safety) -> None:
+def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
     """See whether planning would let these starts happen; who cannot start never does."""
+    if plan.safety is None:
+        return
     starts = list(outcome.starts)
-    outcome.trap = find_first_trap(state, plan.cell, starts, safety)
-    if outcome.trap is None:
-        outcome.tangle = find_late_step(state, plan.cell, starts, safety)
-        if outcome.tangle is not None and find_late_step(state, plan.cell, [], safety) is not None:
-            outcome.tangle = None
+    outcome.trap = find_first_trap(plan.state, plan.cell, starts, plan.safety)
     if outcome.trap is not None:
         name = outcome.trap[0][0]
         behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
-
-
-def _follow(plan: CellOutlook, advice: Advice) -> CellOutlook:
-    """The same outlook, with other advice."""
-    other = CellOutlook(plan._state, plan.cell, plan.now, plan.obliged, advice)
-    other._scene = plan.scene
-    return other
+        return
+    outcome.tangle = find_late_step(plan.state, plan.cell, starts, plan.safety)
+    if outcome.tangle is not None and find_late_step(plan.state, plan.cell, [], plan.safety) is not None:
+        outcome.tangle = None
 
 
 def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:
     """Whether everything has started that should have by now. What was planned to the second counts for less
     where it does not go as planned: then reservations keep their margin."""
     return all(at >= now - convert_lab_s(state, PUNCTUAL_S) for at in suggested.not_before.values())
-
-
-def _make_key(advice: Advice) -> tuple[object, ...]:
-    return (
-        tuple(sorted((who, others) for who, others in advice.behind.items())),
-        tuple(sorted(advice.not_before.items())),
-        tuple(sorted(advice.leaving)),
-    )

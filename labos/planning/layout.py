@@ -27,6 +27,7 @@ from labos.core.ids import (
     StationName,
     find_owning_run,
     split_key,
+    workcell_of,
 )
 from labos.core.leaving import will_leave
 from labos.core.model import Plan, Together
@@ -34,17 +35,9 @@ from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, SKIPPED, UNKNOWN, RunState, RunStatus
 from labos.core.state import LabState
 from labos.planning.floor import OTHERS, Actor, Floor, change_claim
-from labos.planning.moves import _change_pile, _go_back, move
-from labos.planning.paths import (
-    Motion,
-    door_key,
-    hold_key,
-    is_joint,
-    joint_claim,
-    ready_key,
-    setpoint_key,
-    variable_key,
-)
+from labos.planning.held import door_key, hold_key, joint_claim, ready_key, setpoint_key, variable_key
+from labos.planning.moves import change_pile, go_back, move
+from labos.planning.paths import Motion, is_joint
 
 
 def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
@@ -119,7 +112,6 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     known takes up room wherever it may be; hopefully seen, an action of unknown outcome counts
     as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
     bench = state.bench
-    prefix = f"{cell}/"
     floor = Floor(held=_find_held(state, cell), values=_list_values(state, cell))
     joint = find_joint(state, cell)
     if joint:
@@ -133,7 +125,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
         floor.count[name] = len(station.stock)
         if spec.kind == "stack":
             floor.stock[name] = len(station.stock)
-            floor.piles[name] = []
+            floor.piles[name] = ()
         elif spec.kind == "waste":
             floor.endless.add(name)
             floor.count[name] = station.count
@@ -154,7 +146,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 change_claim(floor, place, holders.get(item.owner, OTHERS), 1)
             continue
         place = find_destination(bench, item)
-        if place.startswith(prefix):
+        if workcell_of(place) == cell:
             floor.count[place] = floor.count.get(place, 0) + 1
             if place in floor.piles and place != item.station:
                 coming.append((place, holders.get(item.owner, item.owner)))
@@ -167,13 +159,12 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 if item.owner in holders:
                     who = holders[item.owner]
                     floor.lent[who] = (*floor.lent.get(who, ()), (place, item.lender))
-    for place, pile in floor.piles.items():
-        for labware in bench.stations[place].labware:
-            standing_there = bench.labware[labware]
-            if find_destination(bench, standing_there) == place:
-                pile.append(holders.get(standing_there.owner, standing_there.owner))
+    for stack in floor.piles:
+        standing = (bench.labware[labware] for labware in bench.stations[stack].labware)
+        staying = [item.owner for item in standing if find_destination(bench, item) == stack]
+        floor.piles[stack] = tuple(holders.get(owner, owner) for owner in staying)
     for place, who in coming:
-        floor.piles[place].append(who)
+        floor.piles[place] = (*floor.piles[place], who)
     for action in state.actions.list_in_cell(cell):
         for effect in action.effects:
             for place in floor.endless.intersection(effect.room).intersection(effect.cleared):
@@ -184,7 +175,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 floor.stock[what.stock] -= 1
                 floor.count[what.stock] -= 1
                 floor.count[target] += 1
-                _change_pile(floor, target, str(action.run))
+                change_pile(floor, target, str(action.run))
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep_after_failure(floor, actor, actor.kept)
@@ -217,7 +208,7 @@ def _find_ready(
 def let_in(floor: Floor, actor: Actor) -> None:
     """Its experiment's closing workflow waits for its end."""
     if actor.home:
-        floor.held.setdefault(actor.home, {})[actor.name] = "inside"
+        floor.put(floor.held.setdefault(actor.home, {}), actor.name, "inside")
 
 
 def _is_pool(owner: Owner) -> bool:
@@ -229,7 +220,7 @@ def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> No
     """Keep what an actor needs if something that it has in flight fails."""
     for motion in kept:
         if motion.source:
-            _go_back(floor, actor, motion, -1)
+            go_back(floor, actor, motion, -1)
         else:
             move(floor, actor, motion)
 

@@ -6,28 +6,20 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.core.branches import sort_steps
-from labos.core.ids import ModuleName, RunId, StationName, run_owner
-from labos.core.model import Together
+from labos.core.ids import RunId, StationName, run_owner
 from labos.core.modules import Module
 from labos.core.runs import IN_FLIGHT, PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.paths import Motion, RunOnBench, door_key, list_motions_of_steps, setpoint_key
+from labos.planning.held import door_key, setpoint_key
+from labos.planning.paths import CellRules, Motion, RunOnBench, list_motions_of_steps
 
 
-def find_way_out(
-    state: LabState,
-    run: RunState,
-    claims: Mapping[StationName, str],
-    rests: Mapping[ModuleName, Mapping[str, Any]],
-    nests: Mapping[ModuleName, tuple[StationName, ...]],
-    joint: Mapping[ModuleName, Together],
-) -> tuple[Motion, ...]:
-    """The motions of the steps that a leaving run has yet to start. ``claims``, ``rests``, ``nests`` and
-    ``joint``: see a path."""
+def find_way_out(state: LabState, run: RunState, rules: CellRules) -> tuple[Motion, ...]:
+    """The motions of the steps that a leaving run has yet to start."""
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
-    before = _list_left(state, run, claims)
-    motions = list_motions_of_steps(plan, sort_steps(plan, left), claims, rests, nests, before, joint)
+    before = _list_left(state, run, rules.claims)
+    motions = list_motions_of_steps(plan, sort_steps(plan, left), rules, before)
     return tuple(
         motion
         for motion in motions

@@ -1,8 +1,8 @@
-"""What may move on a floor, and what becomes of the floor then. Motions are tried out and taken back."""
+"""What may move on a floor, and what becomes of the floor then."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -11,18 +11,17 @@ from labos.core.algebra import check_reaching, check_rooms, check_standing
 from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.floor import OTHERS, UNSETTLED, Actor, Counts, Floor, Loans, change_claim, is_closing
-from labos.planning.paths import (
-    JOINT,
-    READY,
-    Motion,
+from labos.planning.floor import OTHERS, UNSETTLED, Actor, Floor, change_claim, is_closing
+from labos.planning.held import (
     door_key,
     find_kept_module,
     had_key,
     joint_claim,
     list_guard_keys,
+    may_be_shared,
     ready_key,
 )
+from labos.planning.paths import Motion
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -130,22 +129,26 @@ def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
     return value is not UNSETTLED and (is_reported(value) or is_same(value, wanted))
 
 
-def find_usable_place(floor: Floor, actor: Actor, places: Iterable[StationName]) -> StationName:
+def find_usable_place(floor: Floor, actor: Actor, places: Sequence[StationName]) -> StationName:
     """The first of some places where labware stands that an actor may use: its own first; empty if there is
     none."""
-    owners = [None, *actor.inputs]
-    found = [(owners.index(owner), place) for place in places for owner in _list_usable(floor, actor, place)]
+    for place in places:
+        if _has_own(floor, actor, place):
+            return place
+    owners = [(place, _find_lender(floor, actor, place)) for place in places]
+    found = [(actor.inputs.index(owner), place) for place, owner in owners if owner is not None]
     return min(found, key=lambda pair: pair[0])[1] if found else NOWHERE
 
 
-def _list_usable(floor: Floor, actor: Actor, place: StationName) -> list[Owner | None]:
-    """Whose labware an actor would use at a place: its own (None), or out of a pool; empty if there is
-    none."""
-    if _has_own(floor, actor, place):
-        return [None]
+def _find_lender(floor: Floor, actor: Actor, place: StationName) -> Owner | None:
+    """Out of whose pool an actor may use labware at a place; on a stack, what lies on top."""
     pile = floor.piles.get(place)
-    owners = [o for o in actor.inputs if floor.pools.get(o, {}).get(place) and not (pile and pile[-1] != o)]
-    return [*owners[:1]]
+    for owner in actor.inputs:
+        if pile and owner != pile[-1]:
+            continue
+        if floor.pools.get(owner, {}).get(place):
+            return owner
+    return None
 
 
 def _is_left_out(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -164,7 +167,7 @@ def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
     if motion.target:
         return motion.new or _has_room(floor, actor, motion)
     pile = floor.piles.get(motion.source)
-    return pile is None or pile[-1:] == [actor.name]
+    return pile is None or pile[-1:] == (actor.name,)
 
 
 def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -203,7 +206,7 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     """Whether nobody else holds it, or everybody wants the same."""
-    if key.startswith(READY):
+    if may_be_shared(key):
         return True
     holders = floor.held.get(key)
     return not holders or all(
@@ -211,22 +214,9 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
     )
 
 
-def _find_pool(floor: Floor, actor: Actor, source: StationName) -> dict[StationName, int] | None:
-    """The counts of the labware of others that an actor may use at a station; on a stack, of what lies
-    on top."""
-    pile = floor.piles.get(source)
-    for owner in actor.inputs:
-        if pile and owner != pile[-1]:
-            continue
-        pool = floor.pools.get(owner)
-        if pool is not None and pool.get(source):
-            return pool
-    return None
-
-
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether nobody but the actor, and what it may use, stands where a claim is held."""
-    if claim.startswith(JOINT):
+    if may_be_shared(claim):
         return True
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():
@@ -243,165 +233,85 @@ def _count_usable(floor: Floor, actor: Actor, claim: str) -> int:
     return sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
 
 
-class ActorBefore(msgspec.Struct):
-    """What an actor held before a motion (key, whether, value), how variables stood, what was lent to it,
-    which plates have become its own (1), or are not any more (-1), out of which pool, and how much it left
-    to whose pool where, and which of what lies on a stack that was. ``joined`` are the others who had it done
-    with it: what they held for that, who, and the value."""
-
-    keys: list[tuple[str, bool, Any]] = []
-    values: list[tuple[str, Any]] = []
-    lent: Loans = ()
-    plates: list[tuple[StationName, Counts, int]] = []
-    joined: list[tuple[str, str, Any]] = []
-    given: list[tuple[StationName, Counts, int, list[int]]] = []
-
-
-NOT_HELD = object()
-"""In place of what somebody held, where that was nothing."""
-
-Undo = tuple[Counts, str, Counts | None, Loans] | ActorBefore
-"""From which count a motion took its labware, in whose name, from which pool it took over the plate whose
-lid it carries, and what was lent to its actor before; for taking it back. Or what its actor held."""
-
-
-def move(floor: Floor, actor: Actor, motion: Motion) -> Undo | None:
-    """Carry a motion out on the floor; returns what ``take_back`` needs."""
-    source, target = motion.source, motion.target
+def move(floor: Floor, actor: Actor, motion: Motion) -> None:
+    """Carry a motion out on the floor."""
     if motion.back:
-        _go_back(floor, actor, motion, 1)
-        return {}, "", None, floor.lent.get(actor.name, ())
-    if is_closing(motion) and _is_left_out(floor, actor, motion):
-        return None
-    if not target:
-        return _hold(floor, actor, motion)
-    counts: Counts = {}
-    who, lent = "", floor.lent.get(actor.name, ())
+        go_back(floor, actor, motion, 1)
+    elif is_closing(motion) and _is_left_out(floor, actor, motion):
+        return
+    elif motion.target:
+        _carry(floor, actor, motion)
+    elif motion.changes_anything:
+        _hold(floor, actor, motion)
+
+
+def _carry(floor: Floor, actor: Actor, motion: Motion) -> None:
+    source, target = motion.source, motion.target
     if motion.emptied:
-        if motion.new:
-            counts = floor.stock
-        elif _has_own(floor, actor, source):
-            counts, who = actor.own, actor.name
-        else:
-            pool = _find_pool(floor, actor, source)
-            if pool is None:
-                return None
-            counts, who = pool, OTHERS
-        counts[source] -= 1
-        floor.count[source] -= 1
+        counts, who = floor.stock, ""
         if not motion.new:
-            _change_pile(floor, source, "")
+            counts, who = actor.own, actor.name
+            if not _has_own(floor, actor, source):
+                lender = _find_lender(floor, actor, source)
+                if lender is None:
+                    return
+                counts, who = floor.pools[lender], OTHERS
+            change_pile(floor, source, "")
+        floor.add(counts, source, -1)
+        floor.add(floor.count, source, -1)
         change_claim(floor, source, who, -1)
         _keep_loan(floor, actor, source)
     if motion.filled:
-        _change_pile(floor, target, actor.name)
-        floor.count[target] = floor.count.get(target, 0) + 1
+        change_pile(floor, target, actor.name)
+        floor.add(floor.count, target, 1)
         if target not in floor.endless:
-            actor.own[target] = actor.own.get(target, 0) + 1
+            floor.add(actor.own, target, 1)
             change_claim(floor, target, actor.name, 1)
-    pool = None
     if motion.plate_at:
-        pool = _take_over(floor, actor, motion.plate_at)
+        _take_over(floor, actor, motion.plate_at)
         _keep_loan(floor, actor, motion.plate_at)
-    return counts, who, pool, lent
 
 
-def take_back(floor: Floor, actor: Actor, motion: Motion, taken: Undo | None) -> None:
-    """Undo the last motion of an actor."""
-    if taken is None:
-        return
-    if isinstance(taken, ActorBefore):
-        for key, who, value in reversed(taken.joined):
-            if value is NOT_HELD:
-                del floor.held[key][who]
-            else:
-                floor.held[key][who] = value
-        for key, before, value in reversed(taken.keys):
-            if before:
-                floor.held.setdefault(key, {})[actor.name] = value
-            else:
-                del floor.held[key][actor.name]
-        for key, value in reversed(taken.values):
-            floor.values[key] = value
-        for place, whose, sign in reversed(taken.plates):
-            _change_owner(floor, actor, place, whose, -sign)
-        for place, heir, number, left in taken.given:
-            _give(floor, actor, place, heir, -number)
-            for index in left:
-                floor.piles[place][index] = actor.name
-        if motion.needs or motion.returns:
-            floor.lent[actor.name] = taken.lent
-        return
-    counts, who, pool, lent = taken
-    if lent:
-        floor.lent[actor.name] = lent
-    source, target = motion.source, motion.target
-    if pool is not None:
-        _change_owner(floor, actor, motion.plate_at, pool, -1)
-    if motion.back:
-        _go_back(floor, actor, motion, -1)
-        return
-    if motion.filled:
-        if target not in floor.endless:
-            actor.own[target] -= 1
-            change_claim(floor, target, actor.name, -1)
-        _change_pile(floor, target, "")
-        floor.count[target] -= 1
-    if motion.emptied:
-        if not motion.new:
-            _change_pile(floor, source, _find_holder(floor, counts, who))
-        change_claim(floor, source, who, 1)
-        floor.count[source] += 1
-        counts[source] += 1
-
-
-def _go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
-    """Make things be as it is known now (1), or take that back (-1)."""
+def go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
+    """Make things be as it is known now (1), or as they were before (-1)."""
     for place, change in ((motion.source, -sign), (motion.target, sign)):
         if not place:
             continue
-        floor.count[place] = floor.count.get(place, 0) + change
+        floor.add(floor.count, place, change)
         if motion.new and place == motion.target:
-            floor.stock[place] = floor.stock.get(place, 0) + change
+            floor.add(floor.stock, place, change)
         elif place not in floor.endless:
             if motion.target:
-                actor.own[place] = actor.own.get(place, 0) + change
+                floor.add(actor.own, place, change)
             change_claim(floor, place, actor.name, change)
-            _change_pile(floor, place, actor.name if change > 0 else "")
+            change_pile(floor, place, actor.name if change > 0 else "")
 
 
-def _take_over(floor: Floor, actor: Actor, place: StationName) -> Counts | None:
-    """A plate whose lid an actor carries belongs to the actor from then on; returns the pool that it came
-    from."""
-    pool = None if _has_own(floor, actor, place) else _find_pool(floor, actor, place)
-    if pool is not None:
-        _change_owner(floor, actor, place, pool, 1)
-    return pool
+def _take_over(floor: Floor, actor: Actor, place: StationName) -> Owner | None:
+    """A plate whose lid an actor carries belongs to the actor from then on; returns out of whose pool it
+    came."""
+    lender = None if _has_own(floor, actor, place) else _find_lender(floor, actor, place)
+    if lender is not None:
+        _change_owner(floor, actor, place, lender, 1)
+    return lender
 
 
-def _change_owner(floor: Floor, actor: Actor, place: StationName, pool: Counts, sign: int) -> None:
+def _change_owner(floor: Floor, actor: Actor, place: StationName, lender: Owner, sign: int) -> None:
     """One piece out of a pool becomes an actor's (1), or goes back (-1)."""
-    pool[place] = pool.get(place, 0) - sign
-    actor.own[place] = actor.own.get(place, 0) + sign
+    floor.add(floor.pools[lender], place, -sign)
+    floor.add(actor.own, place, sign)
     change_claim(floor, place, OTHERS, -sign)
     change_claim(floor, place, actor.name, sign)
-    pile = floor.piles.get(place)
-    if pile:
-        pile[-1] = actor.name if sign > 0 else _find_holder(floor, pool, OTHERS)
+    if floor.piles.get(place):
+        change_pile(floor, place, "")
+        change_pile(floor, place, actor.name if sign > 0 else lender)
 
 
-def _change_pile(floor: Floor, place: StationName, who: str) -> None:
+def change_pile(floor: Floor, place: StationName, who: str) -> None:
     """Something of somebody's comes onto a stack; nobody's: what lies on top comes off it."""
     pile = floor.piles.get(place)
-    if pile is not None and who:
-        pile.append(who)
-    elif pile:
-        pile.pop()
-
-
-def _find_holder(floor: Floor, counts: dict[StationName, int], who: str) -> str:
-    """Whose labware was taken, if it was an actor's or out of somebody's pool."""
-    return who if who != OTHERS else next(owner for owner, pool in floor.pools.items() if pool is counts)
+    if pile is not None:
+        floor.put(floor.piles, place, (*pile, who) if who else pile[:-1])
 
 
 def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
@@ -410,89 +320,73 @@ def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
     return pile[-1] == actor.name if pile else bool(actor.own.get(source))
 
 
-def _hold(floor: Floor, actor: Actor, motion: Motion) -> ActorBefore | None:
-    """Let an actor hold what a motion grabs, and have what it needs; let go of what it frees, and return what
+def _hold(floor: Floor, actor: Actor, motion: Motion) -> None:
+    """Let an actor hold what a motion grabs, and have what it needs; give up what it frees, and return what
     was lent."""
-    if not motion.changes_anything:
-        return None
-    who, before = actor.name, ActorBefore(lent=floor.lent.get(actor.name, ()))
+    who, lent = actor.name, floor.lent.get(actor.name, ())
     is_early = motion.for_step is not None and not _becomes_ready(actor, motion)
     for key, value in motion.grabs if not is_early else ():
-        holders = floor.held.setdefault(key, {})
-        before.keys.append((key, who in holders, holders.get(who)))
-        holders[who] = value
+        floor.put(floor.held.setdefault(key, {}), who, value)
     if motion.joint:
-        _join(floor, who, motion, before)
+        _join(floor, who, motion)
     for key in motion.frees:
-        holders = floor.held.get(key, {})
-        if who in holders:
-            before.keys.append((key, True, holders.pop(who)))
+        if who in floor.held.get(key, {}):
+            floor.drop(floor.held[key], who)
     for key, value in motion.sets:
-        before.values.append((key, floor.values.get(key)))
-        floor.values[key] = value
+        floor.put(floor.values, key, value)
     for places in motion.needs:
-        _borrow(floor, actor, find_usable_place(floor, actor, places), before, keeps=motion.keeps)
-    if motion.returns and before.lent:
-        for place, owner in before.lent:
-            pile, pool = floor.piles.get(place), floor.pools[owner]
+        _borrow(floor, actor, find_usable_place(floor, actor, places), keeps=motion.keeps)
+    if motion.returns and lent:
+        for place, owner in lent:
+            pile = floor.piles.get(place)
             if pile and (pile[-1] != who or pile.count(who) > 1):
                 continue  # of several on a stack it is not known here which one was lent
-            _change_owner(floor, actor, place, pool, -1)
-            before.plates.append((place, pool, -1))
-        floor.lent[who] = ()
+            _change_owner(floor, actor, place, owner, -1)
+        floor.put(floor.lent, who, ())
     if motion.heir:
-        _leave_all(floor, actor, motion.heir, before)
-    return before
+        _leave_all(floor, actor, motion.heir)
 
 
-def _join(floor: Floor, who: str, motion: Motion, before: ActorBefore) -> None:
+def _join(floor: Floor, who: str, motion: Motion) -> None:
     """What a module does for one, it does for all who have labware in it."""
     ready = floor.held.setdefault(ready_key(motion.joint), {})
     had = floor.held.setdefault(had_key(motion.joint), {})
     if who in had:
-        before.joined.append((had_key(motion.joint), who, had.pop(who)))
+        floor.drop(had, who)
         return
     for other in _list_inside(floor, motion.joint):
         if other != who:
-            before.joined.append((ready_key(motion.joint), other, ready.pop(other)))
-            before.joined.append((had_key(motion.joint), other, NOT_HELD))
-            had[other] = motion.wish
+            floor.drop(ready, other)
+            floor.put(had, other, motion.wish)
 
 
-def _leave_all(floor: Floor, actor: Actor, heir: Owner, before: ActorBefore) -> None:
+def _leave_all(floor: Floor, actor: Actor, heir: Owner) -> None:
     """All that an actor has belongs to somebody else."""
     pool = floor.pools.setdefault(heir, {})
     for place, number in actor.own.items():
-        if number:
-            _give(floor, actor, place, pool, number)
-            left = [index for index, owner in enumerate(floor.piles.get(place, ())) if owner == actor.name]
-            before.given.append((place, pool, number, left))
-            for index in left:
-                floor.piles[place][index] = heir
+        if not number:
+            continue
+        floor.add(pool, place, number)
+        floor.add(actor.own, place, -number)
+        change_claim(floor, place, OTHERS, number)
+        change_claim(floor, place, actor.name, -number)
+        pile = floor.piles.get(place, ())
+        if actor.name in pile:
+            left = tuple(heir if owner == actor.name else owner for owner in pile)
+            floor.put(floor.piles, place, left)
 
 
-def _give(floor: Floor, actor: Actor, place: StationName, pool: Counts, number: int) -> None:
-    """So much of an actor's labware at a place belongs to a pool from now on."""
-    pool[place] = pool.get(place, 0) + number
-    actor.own[place] -= number
-    change_claim(floor, place, OTHERS, number)
-    change_claim(floor, place, actor.name, -number)
-
-
-def _borrow(floor: Floor, actor: Actor, place: StationName, before: ActorBefore, *, keeps: bool) -> None:
+def _borrow(floor: Floor, actor: Actor, place: StationName, *, keeps: bool) -> None:
     """What stands at a place is an actor's from now on: until its end, or for good."""
-    owner = next((owner for owner in _list_usable(floor, actor, place) if owner is not None), None)
-    pool = _take_over(floor, actor, place) if owner is not None else None
+    lender = _take_over(floor, actor, place)
     if keeps:
         _keep_loan(floor, actor, place)
-    elif owner is not None:
-        floor.lent[actor.name] = (*floor.lent.get(actor.name, ()), (place, owner))
-    if pool is not None:
-        before.plates.append((place, pool, 1))
+    elif lender is not None:
+        floor.put(floor.lent, actor.name, (*floor.lent.get(actor.name, ()), (place, lender)))
 
 
 def _keep_loan(floor: Floor, actor: Actor, place: StationName) -> None:
     """What was lent to an actor at a place stays its own."""
     lent = floor.lent.get(actor.name)
     if lent:
-        floor.lent[actor.name] = tuple(loan for loan in lent if loan[0] != place)
+        floor.put(floor.lent, actor.name, tuple(loan for loan in lent if loan[0] != place))

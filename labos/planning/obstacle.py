@@ -15,18 +15,18 @@ from labos.core.reasons import NoWayOut
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.planning.floor import Actor, Floor
+from labos.planning.held import door_key, find_kept_module, hold_key
 from labos.planning.layout import lay_out
 from labos.planning.moves import Mover, find_usable_place, may_move, move
-from labos.planning.paths import Motion, door_key, find_kept_module, hold_key
+from labos.planning.paths import Motion
 from labos.planning.safety import Safety, View, view_actor
 from labos.planning.witness import copy_actor, finish_one_by_one
 
 
 def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
     """What a wait is for, with the cause where safety found no way out."""
-    text = describe_wait(wait)
+    text = wait.reason.sentence
     cause = find_obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{text}: {cause}" if cause else text
 

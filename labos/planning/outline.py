@@ -43,6 +43,14 @@ class Task(msgspec.Struct, frozen=True, gc=False):
         return bool(self.gets or self.frees)
 
 
+def _add_to(counts: list[int], task: Task, sign: int) -> None:
+    """What takes room with a task and what is free after it, both at once (1); or take that back (-1)."""
+    for key in task.gets:
+        counts[key] += sign
+    for key in task.frees:
+        counts[key] -= sign
+
+
 class Ways:
     """Plans in outline, and how much room there is: for one bench."""
 
@@ -251,9 +259,7 @@ class Outline:
             self.busy[key] = 1
         for key in task.gets:
             self.used[key] += 1
-            self.floor[key] += 1
-        for key in task.frees:
-            self.floor[key] -= 1
+        _add_to(self.floor, task, 1)
         self.turns[who].remove(step)
         if task.carries:
             self.carrying[who].remove(step)
@@ -295,10 +301,7 @@ class Outline:
         carrying, was_inside = self.carrying[who], self.inside[who]
         self.carrying[who] = [other for other in carrying if other != step]
         self.inside[who] = True
-        for key in task.gets:
-            self.floor[key] += 1
-        for key in task.frees:
-            self.floor[key] -= 1
+        _add_to(self.floor, task, 1)
         witness: list[int] | None = None
         if was_inside and who in self.witness:
             witness = list(self.witness)
@@ -306,10 +309,7 @@ class Outline:
             witness = witness if self._is_valid(witness) else None
         if witness is None:
             witness = self._search()
-        for key in task.gets:
-            self.floor[key] -= 1
-        for key in task.frees:
-            self.floor[key] += 1
+        _add_to(self.floor, task, -1)
         self.carrying[who], self.inside[who] = carrying, was_inside
         return witness
 
@@ -354,10 +354,7 @@ class _Search:
         for key in task.gets:
             if self.floor[key] >= self.room[key]:
                 return False
-        for key in task.gets:
-            self.floor[key] += 1
-        for key in task.frees:
-            self.floor[key] -= 1
+        _add_to(self.floor, task, 1)
         self.at[number] += 1
         self.order.append(number)
         return True
@@ -366,11 +363,7 @@ class _Search:
         while len(self.order) > length:
             number = self.order.pop()
             self.at[number] -= 1
-            task = self.tasks[number][self.at[number]]
-            for key in task.gets:
-                self.floor[key] -= 1
-            for key in task.frees:
-                self.floor[key] += 1
+            _add_to(self.floor, self.tasks[number][self.at[number]], -1)
 
     def _is_over(self, number: int) -> bool:
         return self.at[number] >= len(self.tasks[number])

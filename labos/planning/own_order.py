@@ -110,12 +110,8 @@ class OwnOrder(msgspec.Struct):
     barred: bool = False
 
 
-def _list_sequence(order: OrderSuggested) -> list[tuple[RunId, int]]:
-    return [(one.run, one.step) for one in order.steps]
-
-
-def _list_lines(known: OwnOrder | None) -> tuple[list[RunId], list[RunId]]:
-    return ([], []) if known is None else (known.motions, known.last)
+def _list_sequence(order: OrderSuggested | None) -> list[tuple[RunId, int]] | None:
+    return None if order is None else [(one.run, one.step) for one in order.steps]
 
 
 class OwnOrders:
@@ -168,25 +164,25 @@ class OwnOrders:
         runs = frozenset(run.id for run in (*inside, *waiting))
         known = self._known.get(cell)
         # If the clock was set back, the times of what was found count no more.
-        is_new = known is None or not runs <= known.runs or now < known.seen
-        if known is not None and not is_new and (known.barred or now < self._find_next_look(state, known)):
+        kept = known if known is not None and runs <= known.runs and known.seen <= now else None
+        if kept is not None and (kept.barred or now < self._find_next_look(state, kept)):
             return False
         if not are_enough(state, [*inside, *waiting]):
             return self.drop(cell)  # what is left is for the oldest
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return self.drop(cell)
-        found_by_age = None if known is None or is_new else (known.by_age, known.limit)
-        found_by_age = found_by_age or self._find_limits(state, outline)
+        found_by_age = (kept.by_age, kept.limit) if kept is not None else self._find_limits(state, outline)
         if found_by_age is None:
             return self.drop(cell)
         by_age, limit = found_by_age
-        tried = known.tried if known is not None and not is_new else 0
+        tried = kept.tried if kept is not None else 0
         search = OrderSearch(outline, by_age, tried)
         if not search.is_possible:
             return self.drop(cell)
         numbers = {run.id: number for number, run in enumerate(outline.runs)}
-        best, last = ([numbers[run] for run in line if run in numbers] for line in _list_lines(known))
+        lines = (known.motions, known.last) if known is not None else ([], [])
+        best, last = ([numbers[run] for run in line if run in numbers] for line in lines)
         improved = search.improve(REFRESHED if tried >= self._enough else AT_ONCE, best, last)
         if improved is None:
             return self.drop(cell)
@@ -200,16 +196,13 @@ class OwnOrders:
         order = OrderSuggested(cell, OWN, until, steps)
         motions, last_motions = ([names[who] for who in each.order] for each in (found, here))
         tried += search.tried
-        is_followed = found.value[0] <= limit or (known is not None and not is_new and known.is_followed)
-        runs = runs if known is None or is_new else known.runs
+        is_followed = found.value[0] <= limit or (kept is not None and kept.is_followed)
+        runs = runs if kept is None else kept.runs
         before = self.find(cell)
         self._known[cell] = OwnOrder(
             motions, last_motions, order, runs, now, tried, by_age, limit, is_followed, due, barred
         )
-        after = self.find(cell)
-        if before is None or after is None:
-            return before is not after
-        return _list_sequence(before) != _list_sequence(after)
+        return _list_sequence(before) != _list_sequence(self.find(cell))
 
     def _find_limits(self, state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, ...], int] | None:
         return _play_by_age(state, outline) if self._weighs_age else ((), FAR)

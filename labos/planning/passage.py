@@ -14,7 +14,7 @@ from labos.planning.moves import may_move, move
 from labos.planning.paths import END
 from labos.planning.player import Step
 from labos.planning.safety import Safety, View, view_actor
-from labos.planning.witness import Trail, copy, copy_actor, finish_one_by_one, take_all_back
+from labos.planning.witness import Trail, copy_actor, finish_one_by_one, go_on, take_all_back
 
 SEARCH_LIMIT = 100
 """Interleavings looked at before an order is given up."""
@@ -133,13 +133,10 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
     """Carry out an actor's next motion and those that are tied to it; nothing if one is not possible."""
     tied = True
     while tied:
-        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
-        if motion is None or not may_move(floor, actor, motion):
+        if actor.done >= len(actor.motions) or not go_on(floor, actor, trail):
             take_all_back(floor, trail)
             return False
-        tied = bool(ties[actor.done])
-        trail.append((actor, motion, move(floor, actor, motion)))
-        actor.done += 1
+        tied = bool(ties[actor.done - 1])
     return True
 
 
@@ -156,14 +153,15 @@ def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safet
 
 
 def _find_ending_runs(
-    ground: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety
+    floor: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety
 ) -> set[str]:
-    """Step comes to its end after these starts; nobody if one of them is not possible."""
-    floor, cast = copy(ground), {actor.name: copy_actor(actor) for actor in actors}
-    for name, step in starts:
-        if not _carry_out(floor, cast[name], step):
-            return set()
-    return safety.find(floor, list(cast.values()), set(cast))[1]
+    """Who comes to its end after these starts; nobody if one of them is not possible. Changes neither floor
+    nor actors."""
+    mark, cast = len(floor.changes), {actor.name: copy_actor(actor) for actor in actors}
+    is_possible = all(_carry_out(floor, cast[name], step) for name, step in starts)
+    ends = safety.find(floor, list(cast.values()), set(cast))[1] if is_possible else set()
+    floor.take_back(mark)
+    return ends
 
 
 def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from functools import cache
 from itertools import pairwise
-from types import MappingProxyType
 from typing import Any, Final, Literal, NamedTuple
 
 import msgspec
@@ -30,6 +28,7 @@ from labos.core.effects import (
 )
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.core.model import Plan, PlanStep, Together
+from labos.planning.held import door_key, hold_key, ready_key, setpoint_key, variable_key
 
 END: Final = "end"
 """In place of a step's index: a run's end, at which it lets go of all that it holds."""
@@ -118,8 +117,8 @@ class Motion(msgspec.Struct, frozen=True):
     def changes_anything(self) -> bool:
         """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
         else."""
-        lets_go = self.frees or self.returns or self.heir
-        return bool(self.target or self.grabs or lets_go or self.needs or self.sets)
+        gives = self.frees or self.returns or self.heir
+        return bool(self.target or self.grabs or gives or self.needs or self.sets)
 
 
 def carry(
@@ -174,18 +173,29 @@ def _list_needed_places(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
     return tuple(needed.elements())
 
 
+class CellRules(msgspec.Struct, frozen=True):
+    """What the motions of steps depend on in a workcell: which of its stations hold which claim (empty: none,
+    but they are hands or behind a door), how its modules' doors and lids stand at rest, at which stations,
+    as plans name them, the modules work on labware, and what they do for several runs at once."""
+
+    claims: Mapping[StationName, str] = {}
+    rests: Mapping[ModuleName, Values] = {}
+    nests: Mapping[ModuleName, tuple[StationName, ...]] = {}
+    joint: Mapping[ModuleName, Together] = {}
+
+
+NO_RULES = CellRules()
+
+
 class Orders(msgspec.Struct, frozen=True):
     """A plan whose steps may be done in more orders than one, and what says how the motions of each of them
-    are: see ``path_of``. ``steps`` are those of its one way, as they are written; ``behind`` says which of
-    them have to be done before each."""
+    are. ``steps`` are those of its one way, as they are written; ``behind`` says which of them have to be
+    done before each."""
 
     plan: Plan
     steps: tuple[int, ...]
     behind: Mapping[int, frozenset[int]]
-    claims: Mapping[StationName, str]
-    rests: Mapping[ModuleName, Values]
-    nests: Mapping[ModuleName, tuple[StationName, ...]]
-    joint: Mapping[ModuleName, Together] = MappingProxyType({})
+    rules: CellRules
     known: dict[tuple[int, ...], tuple[Motion, ...]] = {}
 
     def list_motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
@@ -194,52 +204,32 @@ class Orders(msgspec.Struct, frozen=True):
         if found is None:
             if len(self.known) >= MOST_ORDERS:
                 self.known.clear()
-            found = list_motions_of_steps(
-                self.plan, order, self.claims, self.rests, self.nests, joint=self.joint
-            )
-            self.known[order] = found
+            found = self.known[order] = list_motions_of_steps(self.plan, order, self.rules)
         return found
 
 
 class Path(msgspec.Struct, frozen=True):
-    """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the modules
-    that it needs from each step on (to know whether a dead one still matters); the steps of the motions that
-    change anything; if it may go more ways than one, the motions on each of them; and its ``orders``, if it
-    goes one way, but in more orders than one."""
+    """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the steps of
+    the motions that change anything; if it may go more ways than one, the motions on each of them; and its
+    ``orders``, if it goes one way, but in more orders than one."""
 
     motions: tuple[Motion, ...]
-    modules: tuple[tuple[int, ModuleName], ...]
     changing: frozenset[MotionStep] = frozenset()
     ways: tuple[tuple[Way, tuple[Motion, ...]], ...] = ()
     orders: Orders | None = None
 
 
-def make_path(
-    plan: Plan,
-    claims: Mapping[StationName, str] = MappingProxyType({}),
-    rests: Mapping[ModuleName, Values] = MappingProxyType({}),
-    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
-    joint: Mapping[ModuleName, Together] = MappingProxyType({}),
-) -> Path:
-    """The motions of a plan; steps in an order in which they may run one after the other. ``claims`` says
-    which stations hold which claim (empty: none, but they are hands or behind a door), ``rests`` how the
-    modules' doors and lids stand at rest, ``nests`` where they work on labware, ``joint`` what they do for
-    several runs at once."""
-    found = [
-        (way, list_motions_of_steps(plan, way.steps, claims, rests, nests, joint=joint))
-        for way in list_ways(plan)
-    ]
-    modules = tuple((i, step.module) for i, step in enumerate(plan.steps))
-    changing = frozenset(motion.step for motion in found[0][1] if motion.changes_anything)
-    if len(found) > 1:
-        return Path(found[0][1], modules, changing, tuple(found))
-    steps = found[0][0].steps
-    behind = _find_behind(plan, steps)
-    if all(before in behind[index] for before, index in pairwise(steps)):
-        return Path(found[0][1], modules, changing)
-    return Path(
-        found[0][1], modules, changing, orders=Orders(plan, steps, behind, claims, rests, nests, joint)
-    )
+def make_path(plan: Plan, rules: CellRules = NO_RULES) -> Path:
+    """The motions of a plan; steps in an order in which they may run one after the other."""
+    ways = [(way, list_motions_of_steps(plan, way.steps, rules)) for way in list_ways(plan)]
+    (first, motions), *others = ways
+    changing = frozenset(motion.step for motion in motions if motion.changes_anything)
+    if others:
+        return Path(motions, changing, tuple(ways))
+    behind = _find_behind(plan, first.steps)
+    if all(before in behind[index] for before, index in pairwise(first.steps)):
+        return Path(motions, changing)
+    return Path(motions, changing, orders=Orders(plan, first.steps, behind, rules))
 
 
 def _find_behind(plan: Plan, order: Sequence[int]) -> dict[int, frozenset[int]]:
@@ -288,23 +278,17 @@ class RunOnBench(msgspec.Struct):
 
 
 def list_motions_of_steps(
-    plan: Plan,
-    order: Sequence[int],
-    claims: Mapping[StationName, str],
-    rests: Mapping[ModuleName, Values],
-    nests: Mapping[ModuleName, tuple[StationName, ...]] = MappingProxyType({}),
-    before: RunOnBench | None = None,
-    joint: Mapping[ModuleName, Together] = MappingProxyType({}),
+    plan: Plan, order: Sequence[int], rules: CellRules, before: RunOnBench | None = None
 ) -> tuple[Motion, ...]:
     """What steps do to the bench, carried out in this order. Changes how the run stands."""
     motions: list[Motion] = []
     before = RunOnBench() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
     ever, lent = dict(held), bool(before.lent)
-    behind = _find_joint_behind(plan, order, joint)
+    behind = _find_joint_behind(plan, order, rules.joint)
     for index in order:
         step = plan.steps[index]
-        rest, after = rests.get(step.module, {}), compute_settings_after(step.effects)
+        rest, after = rules.rests.get(step.module, {}), compute_settings_after(step.effects)
         doors = values.setdefault(step.module, {})
         doors.update(after.variables)
         grabs, frees = _find_holds(plan, index, after, away=bool(list_away_from_rest(doors, rest)), held=held)
@@ -315,7 +299,7 @@ def list_motions_of_steps(
         # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
         user = ModuleName("") if step.recovers else step.module
         uses = user if step.exclusive and not moving else ModuleName("")
-        needs, keeps = _list_needs(step, nests, before), changes_labware(step.effects)
+        needs, keeps = _list_needs(step, rules.nests, before), changes_labware(step.effects)
         lent = lent or bool(needs)
         wants = _drop_resting_values(step.module, find_requirements(step.effects), rest)
         sets = _drop_resting_values(step.module, after.variables, rest)
@@ -334,12 +318,12 @@ def list_motions_of_steps(
                 )
             )
         for places in needs:
-            before.lend(places, claims, keeps=keeps)
+            before.lend(places, rules.claims, keeps=keeps)
         hand = name_hand(step.module)
-        motions += carry(index, *moving, uses=user, hand=hand, guarded=claims, room=room, wants=wants)
+        motions += carry(index, *moving, uses=user, hand=hand, guarded=rules.claims, room=room, wants=wants)
         for what in moving:
-            before.carry(what, claims)
-        if is_joint(joint, step):
+            before.carry(what, rules.claims)
+        if is_joint(rules.joint, step):
             wish = find_planned_wish(plan, step)
             motions.append(Motion(index, frees=(ready_key(step.module),), joint=step.module, wish=wish))
         if frees or sets:
@@ -392,66 +376,9 @@ def _list_needs(
     return tuple(found)
 
 
-@cache
-def door_key(module: ModuleName) -> str:
-    """What a run holds that left a door or lid of a module away from rest."""
-    return f"door:{module}"
-
-
-@cache
-def hold_key(module: ModuleName) -> str:
-    """What a run holds that keeps a module by its plan's word."""
-    return f"hold:{module}"
-
-
-@cache
-def list_guard_keys(module: ModuleName) -> tuple[str, str]:
-    """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
-    return door_key(module), hold_key(module)
-
-
-JOINT: Final = "joint:"
-"""Before the name of a module: what the stations of one claim that does things for several runs at once.
-Everybody may have labware there."""
-
-READY: Final = "ready:"
-"""Before what runs hold that are ready for such a thing: several may be, also for different ones."""
-
-
-@cache
-def joint_claim(module: ModuleName) -> str:
-    return f"{JOINT}{module}"
-
-
-@cache
-def ready_key(module: ModuleName) -> str:
-    """What a run holds that is ready for what a module does for several runs at once."""
-    return f"{READY}{JOINT}{module}"
-
-
-@cache
-def had_key(module: ModuleName) -> str:
-    """What a run holds for which a module has done it already, together with another one."""
-    return f"{READY}had:{JOINT}{module}"
-
-
 def is_joint(joint: Mapping[ModuleName, Together], step: PlanStep) -> bool:
     """Whether a module does a step for several runs at once."""
     return step.module in joint and step.action in joint[step.module].actions
-
-
-def find_kept_module(key: str) -> ModuleName:
-    """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
-    return ModuleName(key.removeprefix("hold:") if key.startswith("hold:") else "")
-
-
-def variable_key(module: ModuleName, variable: str) -> str:
-    """A variable of a module that stays as the last action has set it."""
-    return f"variable:{module}.{variable}"
-
-
-def setpoint_key(module: ModuleName, setpoint: str) -> str:
-    return f"setpoint:{module}.{setpoint}"
 
 
 def _find_holds(

@@ -14,10 +14,11 @@ from labos.core.actions import ActionStatus
 from labos.core.effects import Carrying
 from labos.core.ids import RunId, module_key, station_key, zone_key
 from labos.core.model import PlanStep
-from labos.core.runs import SETTLED, RunState, find_holds
+from labos.core.runs import RunState, find_holds
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.zones import find_zones
+from labos.planning.forecast import list_left
 from labos.planning.sleepers import Sleepers
 from labos.planning.waiting import PATIENCE
 
@@ -105,8 +106,7 @@ class OvertakeCounts:
                 continue
             mine = mine or self._list_all_keys(state, run)
             steps = state.runs.plan_of(elder).steps
-            left = [step for step, at in zip(steps, elder.steps, strict=True) if at.status not in SETTLED]
-            theirs = {module_key(step.module) for step in left}.union(
+            theirs = {module_key(step.module) for step in list_left(state, elder)}.union(
                 *(list_keys(state, steps[i]) for i in waiting)
             )
             if mine & theirs:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core.model import Plan, Window
-from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, find_anchor, list_statuses
 from labos.core.state import LabState
 from labos.core.waits import list_party
 from labos.planning.forecast import (
     find_deadline,
     find_earliest_start,
+    find_latest_starts,
     find_pending_before,
     find_usual_time,
     is_pending,
@@ -119,15 +119,6 @@ class Player:
             return
         self.due[index] = due
         chain = find_pending_before(self.run, self.plan, index)
-        latest = dict.fromkeys(chain, due)
-        for follower in reversed(chain):
-            step = self.plan.steps[follower]
-            for before in step.after:
-                if before in latest:
-                    wait_s = max((w.wait_s for w in step.windows if w.anchor == before), default=0.0)
-                    takes = find_usual_time(self._state, self.plan.steps[before]) + convert_lab_s(
-                        self._state, wait_s
-                    )
-                    latest[before] = min(latest[before], latest[follower] - takes)
+        latest = find_latest_starts(self._state, self.plan, chain, due, find_usual_time)
         for step_before, at in latest.items():
             self.latest[step_before] = min(at, self.latest.get(step_before, FAR))

@@ -19,7 +19,7 @@ from labos.planning.forecast import find_setup_in_progress, find_usual_time, is_
 from labos.planning.player import Player, Step
 from labos.planning.rehearsal import Advice, play
 from labos.planning.scene import Scene
-from labos.planning.suggested import find_suggested_times
+from labos.planning.suggested import bring_forward, find_suggested_times
 
 EXACT_S = 0.01
 """What starts or ends at most so much later (lab seconds) than was suggested goes as suggested."""
@@ -64,11 +64,14 @@ class PunctualOrders:
 def _goes_as_suggested(
     state: LabState, cell: str, runs: frozenset[RunId], times: dict[tuple[RunId, int], int], now: int
 ) -> bool:
-    """Whether all has started that should have, nothing in flight is behind, and nobody is inside who was not
-    reckoned with."""
-    late = now - convert_lab_s(state, EXACT_S)
+    """Whether all has started that should have, nothing in flight is behind, no clock runs out before its
+    step's time, and nobody is inside who was not reckoned with."""
+    slack = convert_lab_s(state, EXACT_S)
+    late = now - slack
     if min(times.values()) < late or any(run.id not in runs for run in state.runs.list_inside(cell)):
         return False
+    if any(times[who] > at + slack for who, at in bring_forward(state, times, now).items()):
+        return False  # what ended early has started a clock that does not run for so long
     if any(find_holds(run) or run.is_ending for run in map(state.runs.get, runs) if run is not None):
         return False
     for action in state.actions.list_in_cell(cell):
@@ -84,9 +87,7 @@ def _goes_as_suggested(
 def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
     """Whether every step of these runs starts at its time, and nobody is late, if all of it is rehearsed."""
     scene = Scene(state, cell, now)
-    ends: dict[str, dict[int, int]] = {}
-    for end, _, (name, index), *_ in scene.flying:
-        ends.setdefault(name, {})[index] = end
+    ends = scene.list_ends()
     players: list[Player] = []
     for name in dict.fromkeys(run for run, _ in starts):
         run = state.runs.get(RunId(name))

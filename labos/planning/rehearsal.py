@@ -89,7 +89,7 @@ def play(
             _, _, who, step, effects = heapq.heappop(scene.flying)
             run = scene.state.runs.get(RunId(who[0]))
             assert run is not None
-            scene.let_go(cast.get(who[0]), run, who, step, effects)
+            scene.release(cast.get(who[0]), run, who, step, effects)
     for player in cast.values():
         for index, due in player.due.items():
             outcome.due[player.name, index] = due

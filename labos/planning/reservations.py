@@ -34,12 +34,14 @@ from labos.core.zones import find_zones
 from labos.planning.forecast import (
     find_deadline,
     find_earliest_start,
+    find_latest_starts,
     find_longest_time,
     find_pending_before,
     find_setup_in_progress,
     find_spread,
     find_usual_time,
     is_pending,
+    list_clocked,
     list_uses,
 )
 from labos.planning.helpers import Helpers, find_helpers
@@ -76,6 +78,17 @@ class Reservation(msgspec.Struct, frozen=True):
     needs: tuple[Need, ...]
 
 
+class AskedStart(msgspec.Struct, frozen=True):
+    """The start of a step that is judged, and what is reserved in its workcell."""
+
+    state: LabState
+    run: RunState
+    step: int
+    now: int
+    safety: Safety
+    reservations: Sequence[Reservation]
+
+
 class Reservations:
     """The reservations of one state after the other, by workcell, worked out once for each position of the
     log."""
@@ -83,7 +96,7 @@ class Reservations:
     def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.refusals = 0
         self._own = own if own is not None else {}
-        self.windows = Windows(own=self._own)
+        self.windows = Windows(self._own)
         self._position: dict[str, int] = {}
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
@@ -117,7 +130,7 @@ class Reservations:
     @contextmanager
     def forget_afterwards(self) -> Iterator[None]:
         """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
-        kept, self.windows = self.windows, Windows(own=self._own)
+        kept, self.windows = self.windows, Windows(self._own)
         self.windows.remember(kept)
         try:
             yield
@@ -131,8 +144,8 @@ class Reservations:
         if planned <= now:
             return None
         reservations = self.open(state, now, state.runs.plan_of(run).workcell)
-        wait = self._check_reservations(state, run, step, now, safety, reservations) if reservations else None
-        wait = wait or self._check_in_time(state, run, step, now, safety, reservations)
+        asked = AskedStart(state, run, step, now, safety, reservations)
+        wait = self._check_reservations(asked) or self._check_in_time(asked)
         wait = wait or self.windows.check_start(state, run, step, now, safety)
         self.refusals += wait is not None
         if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
@@ -141,47 +154,33 @@ class Reservations:
 
     # -- runs that a start would be in the way of ----------------------------------------------
 
-    def _check_reservations(
-        self,
-        state: LabState,
-        run: RunState,
-        step: int,
-        now: int,
-        safety: Safety,
-        reservations: Sequence[Reservation],
-    ) -> Wait | None:
+    def _check_reservations(self, asked: AskedStart) -> Wait | None:
+        state, run, now = asked.state, asked.run, asked.now
         taken: dict[str, int] = {}
-        for number, found in enumerate(reservations):
+        for number, found in enumerate(asked.reservations, 1):
             if found.run == run.id or _is_same_experiment(state, found.run, run):
                 continue
-            taken = taken or list_uses(state, run, step, now)
+            taken = taken or list_uses(state, run, asked.step, now)
             for need in found.needs:
                 time = taken.get(need.resource)
                 if time is not None and now + time > need.latest:
-                    if self._helps_reservation(state, run, step, now, safety, reservations[: number + 1]):
+                    if self._helps_reservation(asked, asked.reservations[:number]):
                         return None
                     return self._wait(state, found, need, now)
         return None
 
-    def _helps_reservation(
-        self,
-        state: LabState,
-        run: RunState,
-        step: int,
-        now: int,
-        safety: Safety,
-        reservations: Sequence[Reservation],
-    ) -> bool:
+    def _helps_reservation(self, asked: AskedStart, reservations: Sequence[Reservation]) -> bool:
         """Whether a start serves one of these reservations: it is on its way, or out of its way."""
         for found in reservations:
-            if found.run == run.id:
-                if step in found.chain:
+            if found.run == asked.run.id:
+                if asked.step in found.chain:
                     return True
-            elif self._find_helpers_for(state, found, now, safety).include(state, run):
+            elif self._find_helpers_for(asked, found).include(asked.state, asked.run):
                 return True
         return False
 
-    def _find_helpers_for(self, state: LabState, found: Reservation, now: int, safety: Safety) -> Helpers:
+    def _find_helpers_for(self, asked: AskedStart, found: Reservation) -> Helpers:
+        state, now = asked.state, asked.now
         if self._helpers_at != (state.position, now):
             self._helpers_at = (state.position, now)
             self._helpers.clear()
@@ -190,7 +189,7 @@ class Reservations:
         if known is None:
             run = state.runs.get(found.run)
             assert run is not None
-            known = self._helpers[key] = find_helpers(state, run, found.chain, now, safety)
+            known = self._helpers[key] = find_helpers(state, run, found.chain, now, asked.safety)
         return known
 
     def _wait(self, state: LabState, found: Reservation, need: Need, now: int) -> Wait:
@@ -206,27 +205,15 @@ class Reservations:
 
     # -- clocks that had better not be started -------------------------------------------------
 
-    def _check_in_time(
-        self,
-        state: LabState,
-        run: RunState,
-        step: int,
-        now: int,
-        safety: Safety,
-        reservations: Sequence[Reservation],
-    ) -> Wait | None:
+    def _check_in_time(self, asked: AskedStart) -> Wait | None:
         """A step that would start a clock waits while those that run already, and what is in flight,
         leave no room for the step that has to follow in time."""
+        state, run, step, now = asked.state, asked.run, asked.step, asked.now
         plan = state.runs.plans[run.plan]
-        followers = [
-            index
-            for index in plan.windowed
-            for window in plan.plan.steps[index].windows
-            if window.anchor == step and window.within_s is not None
-        ]
+        followers = list_clocked(plan, step)
         if not followers:
             return None
-        others = [found for found in reservations if found.run != run.id]
+        others = [found for found in asked.reservations if found.run != run.id]
         foreseen = {step: now + find_usual_time(state, plan.plan.steps[step])}
         for index in followers:
             mine = _make_reservation(state, run, index, now, foreseen)
@@ -239,7 +226,7 @@ class Reservations:
                 together = _count_late([*flying, *theirs, *ours], room)
                 if together <= _count_late([*flying, *theirs], room) + _count_late(ours, room):
                     continue
-                if self._helps_reservation(state, run, step, now, safety, reservations):
+                if self._helps_reservation(asked, asked.reservations):
                     return None
                 rivals = [found for found in others if any(n.resource == resource for n in found.needs)]
                 if rivals:
@@ -325,14 +312,7 @@ def _make_reservation(
         return None
     if find_begun_booking(state, run, [plan.steps[step] for step in chain]) is not None:
         return None
-    latest = dict.fromkeys(chain, end)
-    for follower in reversed(chain):
-        for step in plan.steps[follower].after:
-            if step in latest:
-                waits = [w.wait_s for w in plan.steps[follower].windows if w.anchor == step]
-                pause = convert_lab_s(state, max(waits, default=0.0))
-                before = latest[follower] - pause - find_longest_time(state, plan.steps[step])
-                latest[step] = min(latest[step], before)
+    latest = find_latest_starts(state, plan, chain, end, find_longest_time)
     needs: list[Need] = []
     for step in chain:
         begin = max(

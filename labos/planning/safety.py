@@ -21,8 +21,7 @@ Everybody's labware beside is an obstacle.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import msgspec
 
@@ -30,14 +29,11 @@ from labos.core.booked import find_begun
 from labos.core.ids import (
     SHARED,
     ExperimentId,
-    ModuleName,
     Owner,
-    StationName,
     experiment_owner,
     run_owner,
     user_owner,
 )
-from labos.core.model import Together
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, list_statuses
 from labos.core.state import LabState
@@ -47,17 +43,24 @@ from labos.planning.layout import find_joint, find_standing, is_down, keep_after
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
-from labos.planning.paths import END, FORKED, ClosingStep, Motion, Path, make_path, name_leftover_owner
+from labos.planning.paths import (
+    END,
+    FORKED,
+    CellRules,
+    ClosingStep,
+    Motion,
+    Path,
+    make_path,
+    name_leftover_owner,
+)
 from labos.planning.stuck import find_block, reaches_into
 from labos.planning.suggested_way import follow_order
 from labos.planning.witness import (
     Trail,
     Witness,
-    copy,
     copy_actor,
     finish_one_by_one,
     interleave,
-    is_valid,
     list_order,
     replay,
 )
@@ -114,14 +117,14 @@ class Safety:
             if len(self._paths) > max(4096, 2 * len(state.runs.plans)):
                 self._paths = {name: path for name, path in self._paths.items() if name in state.runs.plans}
             known = state.runs.plans[plan].plan
-            found = self._paths[plan] = make_path(known, *_make_rules(state, known.workcell))
+            found = self._paths[plan] = make_path(known, _make_rules(state, known.workcell))
         return found
 
     def _list_motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
         """The motions of a step, on whichever way it is done."""
         if run.status == RunStatus.LEAVING:
             rules = _make_rules(state, state.runs.plan_of(run).workcell)
-            return [motion for motion in find_way_out(state, run, *rules) if motion.step == step]
+            return [motion for motion in find_way_out(state, run, rules) if motion.step == step]
         return list_motions(self.find_path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
@@ -156,7 +159,9 @@ class Safety:
             hopeful = view.hopeful or not state.bench.lost
             if hopeful not in grounds:
                 grounds[hopeful] = lay_out(state, cell, actors, hopeful=hopeful)
-            after = self._check_after(state, run, step, copy(grounds[hopeful]), here, view)
+            mark = len(grounds[hopeful].changes)
+            after = self._check_after(state, run, step, grounds[hopeful], here, view)
+            grounds[hopeful].take_back(mark)
             if isinstance(after, list):
                 return after
             found[view] = after
@@ -250,8 +255,7 @@ class Safety:
                 floor, mover, [kept for kept in find_kept(path, plan, run, steps) if kept.step == step]
             )
             if known.witness and known.witness[0] == (name, FORKED):
-                here = [copy_actor(actor) for actor in actors]
-                order = replay(copy(floor), here, known.witness)
+                order = replay(floor, actors, known.witness)
                 if order is not None:
                     return LastResult(_find_stuck(actors), order, frozenset(to_end))
         else:
@@ -279,19 +283,18 @@ class Safety:
             known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
-            if complete and is_valid(copy(ground), [copy_actor(actor) for actor in actors], known.witness):
-                return msgspec.structs.replace(known, ends=known.ends & names)
-            if any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
-                order = replay(copy(ground), [copy_actor(a) for a in actors if not a.stuck], known.witness)
+            if complete or any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
+                order = replay(ground, [actor for actor in actors if not actor.stuck], known.witness)
                 if order is not None:
-                    known = self._known[view] = LastResult(stuck, order, known.ends & names)
-                    return known
+                    found = LastResult(stuck, order, known.ends & names)
+                    if not complete:
+                        self._known[view] = found
+                    return found
         free = names - stuck
-        witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free)
+        witness, ends = self.find(ground, actors, free)
         if not ends >= free and self._given_up.get(view) != (names, stuck):
             self._given_up[view] = (names, stuck)  # not again while the same are inside
-            limit = self._limit * THOROUGH
-            witness, ends = self.find(copy(ground), [copy_actor(actor) for actor in actors], free, limit)
+            witness, ends = self.find(ground, actors, free, self._limit * THOROUGH)
         known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known
 
@@ -326,11 +329,11 @@ class Safety:
         experiment, owner = state.experiments.open[name], experiment_owner(name)
         path = self.find_path(state, experiment.closing)
         reached = [place for motion in path.motions for place in (motion.source, motion.target)]
-        modules = [module for _, module in path.modules]
-        cell = state.runs.plans[experiment.closing].plan.workcell
+        plan = state.runs.plans[experiment.closing].plan
+        modules = {step.module for step in plan.steps}
         dead = any(is_down(state, m) or find_begun(state, experiment.user, m) for m in modules) or any(
             module.cut_off and reaches_into(state, module.spec.name, reached)
-            for _, module in state.modules.list_in_cell(cell)
+            for _, module in state.modules.list_in_cell(plan.workcell)
         )
         motions = _make_closing(path)
         waits = [Motion(motion.step, grabs=((owner, None),)) for motion in motions[:1]]
@@ -358,7 +361,7 @@ class Safety:
         kept: Sequence[Motion] = ()
         motions = (*(motion for motion in path.motions if motion.step not in over), *end)
         if run.status == RunStatus.LEAVING:
-            motions = (*find_way_out(state, run, *_make_rules(state, plan.workcell)), *end)
+            motions = (*find_way_out(state, run, _make_rules(state, plan.workcell)), *end)
         elif path.ways:
             motions, forks = find_branches(
                 path, plan, run, states, end, self._list_motions_after_failure(state, run)
@@ -392,28 +395,30 @@ class Safety:
     def find(
         self, floor: Floor, actors: Sequence[Actor], keep: set[str], limit: int = 0
     ) -> tuple[Witness, set[str]]:
-        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep``
-        is missing, with at most ``limit`` interleavings (0: as many as usual). Changes floor and actors."""
+        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep`` is missing,
+        with at most ``limit`` interleavings (0: as many as usual). Changes neither floor nor actors."""
         self.searches += 1
         limit = limit or self._limit
-        waiting = [actor for actor in actors if not actor.stuck]
-        ground, all_over = copy(floor), [copy_actor(actor) for actor in waiting if actor.name in keep]
+        mark, able = len(floor.changes), [actor for actor in actors if not actor.stuck]
         trail: Trail = []
-        waiting = finish_one_by_one(floor, waiting, trail)
+        waiting = finish_one_by_one(floor, [copy_actor(actor) for actor in able], trail)
         order = list_order(trail)
-        ends = {actor.name for actor in actors if not actor.stuck} - {actor.name for actor in waiting}
+        ends = {actor.name for actor in able} - {actor.name for actor in waiting}
         missing = [actor for actor in waiting if actor.name in keep]
         if missing and len(missing) == len(keep - ends):
             self.interleavings += 1
+            all_over = [copy_actor(actor) for actor in able if actor.name in keep]
             found = interleave(floor, missing, limit)
             if found is not None:
                 order += found
                 ends |= {actor.name for actor in missing}
             elif len(all_over) > len(missing):
                 # Whoever went first may have come to rest in the others' way.
-                found = interleave(ground, all_over, limit)
+                floor.take_back(mark)
+                found = interleave(floor, all_over, limit)
                 if found is not None:
                     order, ends = found, {actor.name for actor in all_over}
+        floor.take_back(mark)
         return tuple(order), ends
 
 
@@ -428,29 +433,16 @@ def _end(home: Owner) -> tuple[Motion, ...]:
     return (Motion(END, frees=(home,), heir=name_leftover_owner(home)),) if home else ()
 
 
-Rules = tuple[
-    dict[StationName, str],
-    dict[ModuleName, Mapping[str, Any]],
-    dict[ModuleName, tuple[StationName, ...]],
-    dict[ModuleName, Together],
-]
-
-
-def _make_rules(state: LabState, cell: str) -> Rules:
-    """Which stations of a workcell hold which claim, or none, but stand behind a door or are hands; how its
-    modules' doors and lids stand at rest; which stations are theirs, as plans name them; and what they do for
-    several runs at once."""
+def _make_rules(state: LabState, cell: str) -> CellRules:
     stations = state.bench.stations
     specs = [stations[name].spec for name in state.bench.in_cell.get(cell, ())]
     claims = {spec.name: spec.claim for spec in specs if spec.claim or spec.access or spec.kind == "gripper"}
-    rests: dict[ModuleName, Mapping[str, Any]] = {
-        name: module.spec.rest for name, module in state.modules.list_in_cell(cell) if module.spec.rest
-    }
+    rests = {name: module.spec.rest for name, module in state.modules.list_in_cell(cell) if module.spec.rest}
     nests = {
         name: tuple(dict.fromkeys(map(state.bench.find_planned_place, state.bench.by_module.get(name, ()))))
         for name, _ in state.modules.list_in_cell(cell)
     }
-    return claims, rests, nests, find_joint(state, cell)
+    return CellRules(claims, rests, nests, find_joint(state, cell))
 
 
 def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:

@@ -109,6 +109,13 @@ class Scene:
             other.values[key] = (value if by[0] in mine else rest.get(key[1], value)), by
         return other
 
+    def list_ends(self) -> dict[str, dict[int, int]]:
+        """When steps in flight end (UTC ns), by run."""
+        ends: dict[str, dict[int, int]] = {}
+        for end, _, (name, index), *_ in self.flying:
+            ends.setdefault(name, {})[index] = end
+        return ends
+
     # -- who is in the way -----------------------------------------------------------------------
 
     def find_in_the_way(self, player: Player, index: int) -> Who | None:
@@ -237,7 +244,7 @@ class Scene:
         there = [owner for owner, _ in self.standing.get(place, ())]
         return next((owner for owner in list_party(run) if owner in there), run_owner(run.id))
 
-    def let_go(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
+    def release(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
         """A step has ended: what it took and what it leaves is there for others."""
         if self.busy.get(step.module) == who:
             del self.busy[step.module]

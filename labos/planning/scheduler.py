@@ -32,7 +32,7 @@ from labos.core.ids import (
 from labos.core.leaving import will_leave
 from labos.core.model import Plan
 from labos.core.rules import examine
-from labos.core.runs import PENDING, SETTLED, RunState, RunStatus, list_options
+from labos.core.runs import RunState, RunStatus, list_options
 from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
@@ -43,6 +43,7 @@ from labos.planning.choosing import list_changes
 from labos.planning.companions import check_for_others, find_companions, make_command, put_last
 from labos.planning.deadlines import Deadlines
 from labos.planning.elders import Elders
+from labos.planning.forecast import list_ready_steps
 from labos.planning.own_order import BEFORE_START, OwnOrder, OwnOrders
 from labos.planning.patience import OvertakeCounts
 from labos.planning.pilot import Candidate
@@ -480,20 +481,6 @@ def make_searching_scheduler(known: Mapping[str, OwnOrder] = MappingProxyType({}
     """A scheduler that looks for an order of all that waits before the first of several runs starts. It goes
     on from orders of workcells that are ``known``."""
     return Scheduler(OwnOrders(before_start=BEFORE_START, known=known))
-
-
-def list_ready_steps(state: LabState, run: RunState) -> list[int]:
-    """Steps whose turn it is: pending, with everything before them done."""
-    plan, steps = state.runs.plan_of(run), run.steps
-    found: list[int] = []
-    for index, step in enumerate(steps):
-        if step.status is PENDING:
-            for before in plan.steps[index].after:
-                if steps[before].status not in SETTLED:
-                    break
-            else:
-                found.append(index)
-    return found
 
 
 def _list_keys_of(cell: str | None) -> tuple[str, ...]:

@@ -27,12 +27,13 @@ from labos.core.ids import (
 )
 from labos.core.model import MAIN, PlanStep
 from labos.core.rules import check_starts_allowed, find_person_wait
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, UNKNOWN, RunState, list_statuses
+from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, list_statuses
 from labos.core.state import LabState
 from labos.core.topics import FailedStep
 from labos.core.waits import Wait
 from labos.core.watching import find_unwatched
 from labos.core.zones import find_barred_zones, find_zones
+from labos.planning.forecast import list_ready_steps
 
 
 def find_block(state: LabState, run: RunState) -> Wait | None:
@@ -149,13 +150,7 @@ def _check_labware(state: LabState, run: RunState) -> Wait | None:
     if run.has(IN_FLIGHT):
         return None
     steps = state.runs.plan_of(run).steps
-    ready = [
-        step
-        for index, step in enumerate(steps)
-        if run.steps[index].status == PENDING
-        and all(run.steps[before].status in SETTLED for before in step.after)
-    ]
-    waits = [find_unfit_labware(state, run, step) for step in ready]
+    waits = [find_unfit_labware(state, run, steps[index]) for index in list_ready_steps(state, run)]
     return waits[0] if waits and all(waits) else None
 
 

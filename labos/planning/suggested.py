@@ -11,6 +11,9 @@ it. So that bad advice does little harm, a step waits for another only
 - if it is named in the order as well, or would not free what it takes before the other's time. What an
   order of the lab's own does not name always waits.
 
+No step waits for so long that a clock of its own run, which runs already, would be late. Steps before it may
+have ended sooner than planned, and the clock counts from there.
+
 A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
 same plan. With the lab's own order where clocks run (``window_order``) so does a run that is to be let in.
 So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
@@ -35,12 +38,18 @@ from labos.core.runs import RunState, RunStatus, find_holds, queue_key
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.core.waits import Wait
-from labos.planning.forecast import find_deadline, find_usual_time, is_pending
+from labos.planning.forecast import (
+    find_deadline,
+    find_pending_before,
+    find_usual_time,
+    is_pending,
+    list_clocked,
+)
 from labos.planning.own_order import OWN, OwnOrders
 from labos.planning.taken import list_taken
 from labos.planning.touch import cell_key
 from labos.planning.urgency import is_urgent
-from labos.planning.window_order import OWN_WINDOWS, PUNCTUAL_S
+from labos.planning.window_order import OWN_WINDOWS
 
 GRACE_S = 60.0
 """So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
@@ -116,10 +125,7 @@ class Adviser:
         """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
         plan = state.runs.plan_of(run)
         advice = self._find_advice(state, plan.workcell, now)
-        if advice is None or plan.steps[step].part != MAIN:
-            return None
-        is_still = not state.actions.is_any_moving(plan.workcell)
-        if is_still and (run.has_started or advice.order.by != OWN_WINDOWS):
+        if advice is None or plan.steps[step].part != MAIN or not state.actions.is_any_moving(plan.workcell):
             return None
         if run.has_started and run.status != RunStatus.ACTIVE:
             return None
@@ -129,14 +135,17 @@ class Adviser:
         is_own = advice.order.by in (OWN, OWN_WINDOWS)
         if advice.order.by == OWN_WINDOWS and _has_clock(state, run):
             return None
+        last = find_last_start(state, run, step)
+        if now >= last:
+            return None
         waits_outside = not run.has_started and (advice.order.by == OWN_WINDOWS or run.id in advice.kept_out)
-        if now < mine < LAST and not goes_first and (waits_outside or _starts_clock(state, run, step)):
+        starts_clock = bool(list_clocked(state.runs.plans[run.plan], step))
+        if now < mine < LAST and not goes_first and (waits_outside or starts_clock):
             if (is_own or waits_outside) and self._has_waited_enough(state, run, step, now):
                 return None
             later = reasons.LaterHere if is_own or waits_outside else reasons.ClockLater
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
-            again = now + convert_lab_s(state, PUNCTUAL_S) if is_still else mine
-            return Wait(why_later, (cell_key(plan.workcell),), min(mine, again))
+            return Wait(why_later, (cell_key(plan.workcell),), min(mine, last))
         for resource in _list_resources(state, plan.steps[step]):
             # The lab's own orders name all that should start soon: what they do not name comes after them.
             before = mine if mine < LAST or is_own else _find_release(state, plan, step, resource, now)
@@ -157,7 +166,7 @@ class Adviser:
                     return None
                 enough = self._since[run.id, step] + convert_lab_s(state, MOST_S)
                 why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
-                again, until = self.own.goes_on_at(plan.workcell), min(until, enough) + 1
+                again, until = self.own.goes_on_at(plan.workcell), min(until, enough, last - 1) + 1
                 return Wait(
                     why(str(other.id), split_key(resource)[1]),
                     (cell_key(plan.workcell),),
@@ -223,6 +232,34 @@ def find_suggested_times(
     return found
 
 
+def find_last_start(state: LabState, run: RunState, step: int) -> int:
+    """When a step has to start at the latest (UTC ns), by usual durations, so that no window of its run whose
+    clock runs is missed; ``LAST`` if none runs."""
+    last, plan = LAST, state.runs.plan_of(run)
+    for index in state.runs.plans[run.plan].windowed if run.has_started else ():
+        if not is_pending(run, index) or run.is_breached(index):
+            continue
+        deadline = find_deadline(state, run, index)
+        if deadline is None:
+            continue
+        before = find_pending_before(run, plan, index)
+        if step in before:
+            left = [] if step == index else before[:-1]
+            last = min(last, deadline - sum(find_usual_time(state, plan.steps[i]) for i in left))
+    return last
+
+
+def bring_forward(
+    state: LabState, times: Mapping[tuple[RunId, int], int], now: int
+) -> dict[tuple[RunId, int], int]:
+    """Suggested times, but none so late that a running clock would be late, if that can still be helped."""
+    found: dict[tuple[RunId, int], int] = {}
+    for (name, step), at in times.items():
+        run = state.runs.active.get(name)
+        found[name, step] = at if run is None else min(at, max(now, find_last_start(state, run, step)))
+    return found
+
+
 def _has_clock(state: LabState, run: RunState) -> bool:
     """Whether a clock of a run runs."""
     windowed = state.runs.plans[run.plan].windowed if run.has_started else ()
@@ -240,16 +277,6 @@ def _find_release(state: LabState, plan: Plan, step: int, resource: str, now: in
         if resource in emptied or resource not in filled:
             break
     return release
-
-
-def _starts_clock(state: LabState, run: RunState, step: int) -> bool:
-    """Whether another step of the run has to follow the end of this one in time."""
-    plan = state.runs.plans[run.plan]
-    return any(
-        window.anchor == step and window.within_s is not None
-        for index in plan.windowed
-        for window in plan.plan.steps[index].windows
-    )
 
 
 def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Floor
 from labos.planning.orders import list_next_steps
-from labos.planning.witness import Trail, Witness, copy, copy_actor, finish_one_by_one, list_order, take_step
+from labos.planning.witness import Trail, Witness, copy_actor, finish_one_by_one, list_order, take_step
 
 
 def follow_order(
@@ -26,16 +26,17 @@ def follow_order(
     here = {actor.name: copy_actor(actor) for actor in actors if not actor.stuck}
     if not wanted <= here.keys():
         return None
-    ground = copy(floor)
+    mark = len(floor.changes)
     trail: Trail = []
     left = {name: {motion.step for motion in actor.motions[actor.done :]} for name, actor in here.items()}
-    for one in order.steps:
-        actor = here.get(one.run)
-        if actor is None or one.step not in left[one.run]:
-            continue  # it waits outside, or the step is over, or moves nothing
-        if one.step not in list_next_steps(actor) or not take_step(ground, actor, one.step, trail):
-            return None
-    waiting = finish_one_by_one(
-        ground, [actor for actor in here.values() if actor.done < actor.length], trail
-    )
-    return None if any(actor.name in wanted for actor in waiting) else tuple(list_order(trail))
+    # Who waits outside is not here; some steps are over, or move nothing.
+    moving = ((here[one.run], one.step) for one in order.steps if one.step in left.get(one.run, ()))
+    waiting: list[Actor] | None = None
+    if all(step in list_next_steps(actor) and take_step(floor, actor, step, trail) for actor, step in moving):
+        waiting = finish_one_by_one(
+            floor, [actor for actor in here.values() if actor.done < actor.length], trail
+        )
+    floor.take_back(mark)
+    if waiting is None or any(actor.name in wanted for actor in waiting):
+        return None
+    return tuple(list_order(trail))

@@ -245,7 +245,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
                 module_key(event.module),
                 cell_key(workcell_of(event.module)),
                 run_key(event.run),
-                *_let_go(state, event),
+                *_list_released_modules(state, event),
                 *_list_left_zones(state, event),
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
                 *_list_window_keys(state, event.run),
@@ -365,7 +365,7 @@ def find_cell_of_closing(state: LabState, experiment: str) -> str:
     return state.runs.plans[known.closing].plan.workcell if known is not None and known.closing else ""
 
 
-def _let_go(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
+def _list_released_modules(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
     """The modules that a run held until this step by its plan's word."""
     run = state.runs.active.get(event.run)
     holds = state.runs.plan_of(run).holds if run is not None else ()

@@ -17,7 +17,7 @@ from typing import Any
 import msgspec
 
 from labos.core.actions import Action, ActionRequested, ActionStatus
-from labos.core.campaigns import CampaignStatus
+from labos.core.campaigns import Campaign, CampaignStatus
 from labos.core.decide import Command, Rejection, carry_out
 from labos.core.decide.actions import AcceptAction, FinishAction
 from labos.core.decide.campaigns import SubmitRow
@@ -161,26 +161,28 @@ class VirtualLab:
             run = self.state.runs.queued.get(RunId(getattr(event, "run", "")))
             if run is not None and run.id not in self.play.users:
                 self._note(run)
-            if run is not None and (run.held or run.unapproved):
-                with requeue(self.state.runs, run):
-                    run.held = run.unapproved = False
-            campaign = self.state.campaigns.open.get(CampaignId(getattr(event, "campaign", "")))
-            if campaign is not None and campaign.status == CampaignStatus.PROPOSED:
-                campaign.status = CampaignStatus.OPEN
+            self._let_go_on(run)
+            self._open(self.state.campaigns.open.get(CampaignId(getattr(event, "campaign", ""))))
         return answer
 
     def approve(self, subject: str) -> None:
         """Let a submission go on, or a change of a campaign be made, that waits for an approval."""
         proposal = self.state.approvals.open.pop(subject, None)
-        run = self.state.runs.queued.get(RunId(subject))
-        if run is not None:
-            with requeue(self.state.runs, run):
-                run.held = run.unapproved = False
+        self._let_go_on(self.state.runs.queued.get(RunId(subject)))
         campaign = self.state.campaigns.open.get(CampaignId(subject))
         if campaign is not None and proposal is not None:
             campaign.terms = proposal.terms or campaign.terms
-            if campaign.status == CampaignStatus.PROPOSED:
-                campaign.status = CampaignStatus.OPEN
+            self._open(campaign)
+
+    def _let_go_on(self, run: RunState | None) -> None:
+        """A run that waits need not wait for a person any more."""
+        if run is not None and (run.held or run.unapproved):
+            with requeue(self.state.runs, run):
+                run.held = run.unapproved = False
+
+    def _open(self, campaign: Campaign | None) -> None:
+        if campaign is not None and campaign.status == CampaignStatus.PROPOSED:
+            campaign.status = CampaignStatus.OPEN
 
     def _ask(self, command: Command, actor: str = LABOS) -> list[Event] | Rejection:
         answer = carry_out(self.state, command, self._write, actor)
@@ -290,7 +292,7 @@ class VirtualLab:
             while (
                 plans
                 and campaign is not None
-                and campaign.takes_rows
+                and campaign.room
                 and self._admitted.get(name, 0) < self._most_rows
                 and not explain_full_queue(self.state, campaign.user)
             ):

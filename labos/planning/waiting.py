@@ -53,41 +53,34 @@ class Kind(msgspec.Struct, frozen=True):
     needs: tuple[SupplyNeeds, ...] = ()
 
 
+class Bundle(msgspec.Struct):
+    """Classes that wait in one workcell; the oldest run of them, with its class, if it is known."""
+
+    cell: str
+    kind: Kind
+    classes: dict[str, bool] = {}
+    oldest: tuple[int, str] = (0, "")
+
+
 class WaitingRoom:
     """Bundles by name, and how often the oldest of each was overtaken. Keeps nothing that could
     not be worked out again from the state, but the counts. All runs of a bundle wait in one workcell."""
 
     def __init__(self) -> None:
-        self._classes: dict[str, dict[str, bool]] = {}
+        self._bundles: dict[str, Bundle] = {}
         self._bundle_of: dict[str, str] = {}
-        self._cell_of: dict[str, str] = {}
         self._in_cell: dict[str, dict[str, bool]] = {}
         self._of_owner: dict[Owner, dict[str, dict[str, bool]]] = {}
         self._present: dict[str, dict[Owner, frozenset[StationName]]] = {}
         self._somewhere: Counter[Owner] = Counter()
         self._interests: dict[str, frozenset[StationName]] = {}
-        self._oldest: dict[str, tuple[int, str]] = {}
-        self._kinds: dict[str, Kind] = {}
         self._overtakings: dict[str, dict[RunId, float]] = {}
         self._gone: list[str] = []
 
     # -- who is here -------------------------------------------------------------------------
 
     def fill(self, state: LabState) -> None:
-        """Begin anew with everybody who waits."""
-        for store in (
-            self._classes,
-            self._bundle_of,
-            self._cell_of,
-            self._in_cell,
-            self._of_owner,
-            self._present,
-            self._somewhere,
-            self._interests,
-            self._oldest,
-            self._kinds,
-        ):
-            store.clear()
+        """Everybody who waits comes into the room, which is empty."""
         for cell in state.lab.workcells:
             self._see(state, cell)
         for group in state.runs.queue:
@@ -98,7 +91,7 @@ class WaitingRoom:
         self._interests.clear()
         self._see(state, cell)
         for bundle in self.list_in_cell(cell):
-            for group in list(self._classes[bundle]):
+            for group in list(self._bundles[bundle].classes):
                 self._leave(group)
                 if group in state.runs.queue:
                     self._enter(state, group)
@@ -109,7 +102,7 @@ class WaitingRoom:
         if group in self._bundle_of:
             return ""
         bundle = self._enter(state, group)
-        return bundle if len(self._classes[bundle]) == 1 else ""
+        return bundle if len(self._bundles[bundle].classes) == 1 else ""
 
     def find_bundle(self, state: LabState, run: RunState) -> str:
         """The bundle of a waiting run; empty if it is in none."""
@@ -117,7 +110,7 @@ class WaitingRoom:
 
     def find_cell(self, bundle: str) -> str:
         """The workcell in which a bundle waits; empty for one that is gone."""
-        return self._cell_of.get(bundle, "")
+        return self._bundles[bundle].cell if bundle in self._bundles else ""
 
     def follow(self, state: LabState, cells: Iterable[str]) -> list[str]:
         """See whose labware stands elsewhere in these workcells than before; returns the bundles in which
@@ -151,29 +144,29 @@ class WaitingRoom:
         return present
 
     def __iter__(self) -> Iterator[str]:
-        return iter(list(self._classes))
+        return iter(list(self._bundles))
 
     def take_emptied(self) -> list[str]:
         """The bundles that have come to an end since this was asked last."""
         gone, self._gone = self._gone, []
-        return [bundle for bundle in gone if bundle not in self._classes]
+        return [bundle for bundle in gone if bundle not in self._bundles]
 
     def list_in_cell(self, cell: str) -> list[str]:
         """The bundles of a workcell."""
         return list(self._in_cell.get(cell, ()))
 
     def __contains__(self, bundle: str) -> bool:
-        return bundle in self._classes
+        return bundle in self._bundles
 
     def find_kind(self, bundle: str) -> Kind:
         """Bundles of one kind have the same answer as long as nothing happens."""
-        return self._kinds[bundle]
+        return self._bundles[bundle].kind
 
     # -- who is next -------------------------------------------------------------------------
 
     def find_any_run(self, state: LabState, bundle: str) -> RunState | None:
         """Some run of a bundle: what one of them waits for, all of them wait for."""
-        for group in list(self._classes.get(bundle, ())):
+        for group in self._list_classes(bundle):
             if group in state.runs.queue:
                 return find_head(state, group)
             self._leave(group)
@@ -182,7 +175,7 @@ class WaitingRoom:
     def list_heads(self, state: LabState, bundle: str) -> list[RunState]:
         """The oldest run of each class of a bundle."""
         queue, queued = state.runs.queue, state.runs.queued
-        groups = self._classes.get(bundle, {})
+        groups = self._list_classes(bundle)
         heads = [queued[next(iter(queue[group]))] for group in groups if group in queue]
         if len(heads) < len(groups):
             for group in [group for group in groups if group not in queue]:
@@ -191,16 +184,21 @@ class WaitingRoom:
 
     def find_oldest(self, state: LabState, bundle: str) -> RunState | None:
         """Who has waited longest in a bundle."""
-        position, group = self._oldest.get(bundle, (0, ""))
+        known = self._bundles.get(bundle)
+        if known is None:
+            return None
+        position, group = known.oldest
         if group in state.runs.queue and self._bundle_of.get(group) == bundle:
             head = find_head(state, group)
             if head.position == position:
                 return head
         oldest = min(self.list_heads(state, bundle), key=lambda run: run.position, default=None)
         if oldest is not None:
-            group = queue_key(state.runs.find_shape(oldest), oldest)
-            self._oldest[bundle] = (oldest.position, group)
+            known.oldest = oldest.position, queue_key(state.runs.find_shape(oldest), oldest)
         return oldest
+
+    def _list_classes(self, bundle: str) -> list[str]:
+        return list(self._bundles[bundle].classes) if bundle in self._bundles else []
 
     # -- runs that were overtaken ------------------------------------------------------------
 
@@ -255,8 +253,8 @@ class WaitingRoom:
         closing = home.closing if home is not None else ""
         shape, plans = state.runs.find_shape(run), [state.runs.plans[p] for p in run.choices or (run.plan,)]
         interest = frozenset[StationName]()
-        for known in plans:
-            interest |= self._list_stations(state, known.shape, known.plan)
+        for what in plans:
+            interest |= self._list_stations(state, what.shape, what.plan)
         if closing:
             interest |= self._list_stations(state, closing, state.runs.plans[closing].plan)
         stake = [owner for owner in owners if interest & present.get(owner, frozenset())]
@@ -272,14 +270,13 @@ class WaitingRoom:
             stake.append(experiment)
         clocks = list_clocks(run)
         bundle = "\x1f".join((shape, str(run.priority), str(find_holds(run)), str(clocks), *stake))
-        self._classes.setdefault(bundle, {})[group] = True
-        self._cell_of[bundle] = cell
-        self._in_cell.setdefault(cell, {})[bundle] = True
-        self._oldest.pop(bundle, None)
-        self._kinds[bundle] = Kind(
+        kind = Kind(
             (*map(_encode_starts, plans), find_holds(run), *clocks, *stake),
-            tuple(tuple(sum_by_supply(known.uses_up).items()) for known in plans),
+            tuple(tuple(sum_by_supply(what.uses_up).items()) for what in plans),
         )
+        known = self._bundles.setdefault(bundle, Bundle(cell, kind))
+        known.classes[group], known.kind, known.oldest = True, kind, (0, "")
+        self._in_cell.setdefault(cell, {})[bundle] = True
         self._bundle_of[group] = bundle
         for owner in owners:
             self._of_owner.setdefault(owner, {}).setdefault(cell, {})[group] = True
@@ -294,13 +291,11 @@ class WaitingRoom:
 
     def _leave(self, group: str) -> None:
         bundle = self._bundle_of.pop(group)
-        cell = self._cell_of[bundle]
-        del self._classes[bundle][group]
-        if not self._classes[bundle]:
-            del self._classes[bundle]
-            self._oldest.pop(bundle, None)
-            del self._kinds[bundle]
-            del self._cell_of[bundle]
+        known = self._bundles[bundle]
+        cell = known.cell
+        del known.classes[group]
+        if not known.classes:
+            del self._bundles[bundle]
             del self._in_cell[cell][bundle]
             self._gone.append(bundle)
         _, _, user, experiment, _, _ = group.split("\x1f")

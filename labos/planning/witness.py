@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import msgspec
 
 from labos.planning.floor import Actor, Floor
-from labos.planning.forks import FORK, ActorEnds, finish, undo_finish
-from labos.planning.moves import Undo, may_move, move, take_back
+from labos.planning.forks import FORK, finish
+from labos.planning.moves import may_move, move
 from labos.planning.orders import bring_forward, list_next_steps
 from labos.planning.paths import FORKED, Motion, MotionStep
 
@@ -20,8 +20,9 @@ Witness = tuple[tuple[str, MotionStep], ...]
 """(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
 step follow one another."""
 
-Trail = list[tuple[Actor, Motion, Undo | ActorEnds | None]]
-"""Motions carried out on a floor, in order; for taking them back."""
+Trail = list[tuple[Actor, Motion, int]]
+"""Motions carried out on a floor, in order, and how many changes were made to the floor before each; for
+taking them back."""
 
 
 def finish_one_by_one(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
@@ -46,22 +47,28 @@ def _ends_in_waste(floor: Floor, actor: Actor) -> bool:
     return False
 
 
-def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
-    """Carry out all motions that an actor has left; takes all back if one is not possible."""
-    start = len(trail)
-    for motion in actor.motions[actor.done :]:
+def go_on(floor: Floor, actor: Actor, trail: Trail) -> bool:
+    """Carry out an actor's next motion, or all that follows its fork; nothing if that is not possible."""
+    mark, motion = len(floor.changes), FORK
+    if actor.done < len(actor.motions):
+        motion = actor.motions[actor.done]
         if not may_move(floor, actor, motion):
+            return False
+        move(floor, actor, motion)
+    elif not finish(floor, actor):
+        return False
+    trail.append((actor, motion, mark))
+    actor.done += 1
+    return True
+
+
+def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
+    """Carry out all that an actor has left; takes all back if something is not possible."""
+    start = len(trail)
+    while actor.done < actor.length:
+        if not go_on(floor, actor, trail):
             take_all_back(floor, trail, start)
             return False
-        trail.append((actor, motion, move(floor, actor, motion)))
-        actor.done += 1
-    if actor.forks and actor.done < actor.length:
-        ends = finish(floor, actor)
-        if ends is None:
-            take_all_back(floor, trail, start)
-            return False
-        trail.append((actor, FORK, ends))
-        actor.done += 1
     return True
 
 
@@ -70,47 +77,42 @@ def take_step(floor: Floor, actor: Actor, step: MotionStep, trail: Trail) -> boo
     if not bring_forward(actor, step):
         return False
     start = len(trail)
-    while actor.done < len(actor.motions) and actor.motions[actor.done].step == step:
-        motion = actor.motions[actor.done]
-        if not may_move(floor, actor, motion):
+    while actor.find_next_step() == step:
+        if not go_on(floor, actor, trail):
             take_all_back(floor, trail, start)
             return False
-        trail.append((actor, motion, move(floor, actor, motion)))
-        actor.done += 1
     return True
 
 
 def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness | None:
-    """The witness anew after somebody has come to a fork or beyond: in the order that it gives, where
-    whoever goes alone to its end from there still does. Changes floor and actors."""
-    by_name = {actor.name: actor for actor in actors}
+    """The witness anew, after somebody has come to a fork or beyond, or people have put something in its way:
+    in the order that it gives, where whoever goes alone to its end from a fork still does. Changes neither
+    floor nor actors."""
+    mark = len(floor.changes)
     trail: Trail = []
-    for name, step in witness:
-        actor = by_name.get(name)
-        if actor is None:
-            return None
-        if step == FORKED:
-            if actor.done < actor.length and not walk(floor, actor, trail):
-                return None
-            continue
-        motion = actor.motions[actor.done] if actor.done < len(actor.motions) else None
-        if motion is None or motion.step != step or not may_move(floor, actor, motion):
-            return None
-        trail.append((actor, motion, move(floor, actor, motion)))
-        actor.done += 1
-    over = all(actor.done >= actor.length for actor in actors)
+    by_name = {actor.name: copy_actor(actor) for actor in actors}
+    is_possible = all(_follow(floor, by_name.get(name), step, trail) for name, step in witness)
+    over = is_possible and all(actor.done >= actor.length for actor in by_name.values())
+    floor.take_back(mark)
     return tuple(list_order(trail)) if over else None
+
+
+def _follow(floor: Floor, actor: Actor | None, step: MotionStep, trail: Trail) -> bool:
+    """Let an actor do what a witness says next; whether that is possible."""
+    if actor is None:
+        return False
+    if step == FORKED:
+        return walk(floor, actor, trail)
+    return actor.find_next_step() == step and go_on(floor, actor, trail)
 
 
 def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
     """Undo the motions of a trail from ``start`` on."""
-    while len(trail) > start:
-        actor, motion, taken = trail.pop()
-        if isinstance(taken, ActorEnds):
-            undo_finish(floor, actor, taken)
-        else:
-            take_back(floor, actor, motion, taken)
+    if len(trail) > start:
+        floor.take_back(trail[start][2])
+    for actor, _, _ in trail[start:]:
         actor.done -= 1
+    del trail[start:]
 
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, MotionStep]] | None:
@@ -165,44 +167,6 @@ def _place(actor: Actor) -> object:
 
 def list_order(trail: Trail) -> list[tuple[str, MotionStep]]:
     return [(actor.name, motion.step) for actor, motion, _ in trail]
-
-
-def is_valid(floor: Floor, actors: Sequence[Actor], witness: Witness) -> bool:
-    """Whether a witness still is one: people may have put something in its way since. Changes
-    floor and actors."""
-    by_name = {actor.name: actor for actor in actors}
-    for name, step in witness:
-        actor = by_name.get(name)
-        if actor is not None and step == FORKED:
-            if finish(floor, actor) is None:
-                return False
-            actor.done += 1
-            continue
-        if actor is None or actor.done >= len(actor.motions):
-            return False
-        motion = actor.motions[actor.done]
-        if motion.step != step or not may_move(floor, actor, motion):
-            return False
-        move(floor, actor, motion)
-        actor.done += 1
-    return True
-
-
-def copy(floor: Floor) -> Floor:
-    """A floor to try things out on."""
-    claimed = {claim: dict(holders) for claim, holders in floor.claimed.items()}
-    pools = {owner: dict(places) for owner, places in floor.pools.items()}
-    return msgspec.structs.replace(
-        floor,
-        count=dict(floor.count),
-        stock=dict(floor.stock),
-        claimed=claimed,
-        pools=pools,
-        held={key: dict(holders) for key, holders in floor.held.items()},
-        lent=dict(floor.lent),
-        values=dict(floor.values),
-        piles={place: list(pile) for place, pile in floor.piles.items()},
-    )
 
 
 def copy_actor(actor: Actor) -> Actor:

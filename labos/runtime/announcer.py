@@ -12,8 +12,8 @@ from labos.errors import BusError
 from labos.node.protocol import Keys
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
-from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import KernelPart
 
 LONGEST_BACKLOG = 10_000
 """The number of events that may wait for a slow bus; beyond that the oldest are not published (they are in
@@ -22,25 +22,19 @@ the log)."""
 _log = structlog.get_logger(__name__)
 
 
-class Announcer(Listener):
+class Announcer(KernelPart):
     """Publishes ``{"envelope": …, "payload": …}`` on ``labos/<lab>/@events/<family>``, in order."""
 
     def __init__(self, kernel: Kernel, bus: Bus) -> None:
-        self._kernel, self._bus = kernel, bus
+        super().__init__(kernel)
+        self._bus = bus
         self._keys = Keys(kernel.lab)
         self._backlog: asyncio.Queue[Entry] = asyncio.Queue(LONGEST_BACKLOG)
-        self._task: asyncio.Task[None] | None = None
         self.left_out = 0
 
     async def start(self) -> None:
-        self._kernel.listeners.append(self)
-        self._task = asyncio.get_running_loop().create_task(self._announce())
-
-    async def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        if self._task is not None:
-            self._task.cancel()
+        await super().start()
+        self._tasks.spawn(self._announce())
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:

@@ -7,7 +7,6 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import structlog
 
-from labos.core.actions import Actions
 from labos.core.decide.nodes import HearJournal
 from labos.core.decide.shorter import MANY_FOUND, FoundAction
 from labos.core.ids import ActionId, ModuleName
@@ -28,15 +27,13 @@ class Discovery:
     """Compares heartbeats and journals with one kernel's log. ``ask_about`` asks a node for its description,
     which includes its journal's entries; it raises BusError."""
 
-    def __init__(self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]]) -> None:
-        self._kernel, self._ask_about = kernel, ask_about
-        self._tasks = Tasks()
+    def __init__(
+        self, kernel: Kernel, ask_about: Callable[[ModuleName], Awaitable[AboutReport]], tasks: Tasks
+    ) -> None:
+        self._kernel, self._ask_about, self._tasks = kernel, ask_about, tasks
         self._looks = RateLimiter(kernel.clock, 1.0, 5)
         self._looked_for: dict[ModuleName, frozenset[ActionId]] = {}
         self._in_log: dict[ModuleName, set[ActionId]] = {}
-
-    def close(self) -> None:
-        self._tasks.cancel()
 
     async def find_unlogged(self, module: ModuleName, entries: Sequence[Unacknowledged]) -> list[FoundAction]:
         """The actions in a node's journal that are not in the log. An action that ended long ago is no longer
@@ -91,9 +88,7 @@ class Discovery:
             _log.warning("discovery_not_written", module=module, why=str(error))
 
     def _is_known(self, module: ModuleName, name: ActionId) -> bool:
-        return _is_in_memory(self._kernel.state.actions, module, name) or name in self._in_log.get(module, ())
-
-
-def _is_in_memory(actions: Actions, module: ModuleName, name: ActionId) -> bool:
-    known = name in actions.open or name in actions.settled or name in actions.discovered
-    return known or name in actions.ended.get(module, ())
+        actions = self._kernel.state.actions
+        if name in actions.open or name in actions.settled or name in actions.discovered:
+            return True
+        return name in actions.ended.get(module, ()) or name in self._in_log.get(module, ())

@@ -12,6 +12,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import msgspec
 import structlog
@@ -38,7 +39,6 @@ from labos.core.effects import Carrying, Needs
 from labos.core.ids import ActionId, ModuleName
 from labos.core.interventions import InterventionRequested
 from labos.core.modules import ModuleStatus
-from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.texts import LONGEST_NAME, cut
 from labos.core.topics import PlannedWork
@@ -54,12 +54,12 @@ from labos.node.protocol import (
     ResultPublished,
     Start,
 )
-from labos.ports import Bus, Handle
+from labos.ports import Bus
 from labos.runtime.doubts import Doubts
 from labos.runtime.incoming import RateLimiter, find_module, read_reply, read_result
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.tasks import Tasks
+from labos.runtime.tasks import KernelPart, Tasks
 
 _log = structlog.get_logger(__name__)
 _encode = msgspec.json.Encoder().encode
@@ -69,6 +69,9 @@ ENDS = (ActionSucceeded, ActionFailed, ActionRejected, ActionReconciled)
 SETTLED_S = 1.0
 """How long a start waits until its module is informed that a person's work there has ended."""
 
+LONGEST_PAUSE_S = 5.0
+"""The longest pause between questions to a node that does not answer."""
+
 LATE_QUESTIONS = 20
 """How often a node is asked about a result that came late."""
 
@@ -76,53 +79,41 @@ MOST_ATTEMPTS = 2**31
 """A number of attempts that no action reaches."""
 
 
-class Dispatcher:
-    """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; ``pause_s`` is
-    the longest pause between questions to a node that does not answer; acknowledgements wait
-    ``acknowledge_s``, so that several are sent as one."""
+class Dispatcher(KernelPart):
+    """Sends the requests of one kernel. ``answer_s`` is how long a node may take to accept; acknowledgements
+    wait ``acknowledge_s``, so that several are sent as one."""
 
     def __init__(
-        self,
-        kernel: Kernel,
-        bus: Bus,
-        *,
-        answer_s: float = 5.0,
-        pause_s: float = 5.0,
-        acknowledge_s: float = 1.0,
+        self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, acknowledge_s: float = 1.0
     ) -> None:
-        self._kernel, self._bus = kernel, bus
-        self._answer_s, self._pause_s, self._acknowledge_s = answer_s, pause_s, acknowledge_s
+        super().__init__(kernel)
+        self._bus = bus
+        self._answer_s, self._acknowledge_s = answer_s, acknowledge_s
         self._keys = Keys(kernel.lab)
         self.doubts = Doubts(kernel)
         self.refuse: Callable[[ModuleName, str], None] = self.doubts.ask
         """Called for a module whose node does not obey this kernel, although it is the lab's kernel."""
-        self._tasks = Tasks()
         self._spawn = self._tasks.spawn
-        self._asking: dict[ActionId, asyncio.Task[None]] = {}
+        self._questions = Tasks()
         self._starting: dict[ActionId, tuple[ModuleName, str]] = {}
-        self._handles: list[Handle] = []
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
         self._by_person: set[str] = set()
         self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
         self._late: set[ActionId] = set()
-        self._fenced: set[ModuleName] = set()
         self._prompted = RateLimiter(kernel.clock, 0.1, 50)
         self.sent = 0
         self.asked = 0
 
     async def start(self) -> None:
         """Receive results from now on, and ask about everything that was in flight."""
-        self._kernel.listeners.append(self)
+        await super().start()
         self._handles.append(await self._bus.subscribe(self._keys.all_results, self._on_result))
         self.on_reopened()
 
     async def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        for handle in self._handles:
-            handle.close()
-        self._tasks.cancel()
+        await super().close()
+        await self._questions.end()
 
     # -- from the log ------------------------------------------------------------------------
 
@@ -144,16 +135,13 @@ class Dispatcher:
     def on_reopened(self) -> None:
         """Ask about everything that is open. A question that is still unanswered may be about an attempt that
         was never written; its answer says nothing about the attempt in the log."""
-        for asking in self._asking.values():
-            asking.cancel()
-        self._asking.clear()
+        self._questions.cancel()
         self._starting.clear()
         self._open_at.clear()
         asked = self._kernel.state.interventions.open.values()
         self._by_person = {question.subject for question in asked if question.kind == PlannedWork.KIND}
         for action in self._kernel.state.actions.open.values():
             self._open_at.setdefault(action.module, {})[action.id] = action.position
-        for action in self._kernel.state.actions.open.values():
             self.find_out(action.id)
 
     # -- to nodes ----------------------------------------------------------------------------
@@ -199,11 +187,14 @@ class Dispatcher:
         """Ask the node for the outcome of an action until it is known; only one question at a time. A node
         that has not answered the request yet is not asked: the question could overtake the request, and end
         the attempt."""
-        if self._is_being_started(action):
-            return
-        running = self._asking.get(action)
-        if running is None or running.done():
-            self._asking[action] = self._spawn(self._find_out(action))
+        if not self._is_being_started(action):
+            self._questions.spawn_once(action, partial(self._find_out, action))
+
+    def find_out_about(self, module: ModuleName) -> None:
+        """Ask the node of a module for the outcome of everything that is open there. Raises StoreError."""
+        for action in self._kernel.state.actions.open.values():
+            if action.module == module:
+                self.find_out(action.id)
 
     async def _find_out(self, name: ActionId) -> None:
         pause = 0.2
@@ -212,7 +203,7 @@ class Dispatcher:
                 action = self._open(name)
                 if action is None or action.looks:
                     return
-                if self._state().modules.by_name[action.module].status == ModuleStatus.GONE:
+                if self._kernel.state.modules.by_name[action.module].status == ModuleStatus.GONE:
                     return  # asked again when the node is back
                 question = Ask(
                     self._kernel.lab, self._kernel.epoch, name, action.attempt, action.position, void=True
@@ -222,15 +213,12 @@ class Dispatcher:
                     reply = await self._ask_node(action.module, question)
                 except BusError:
                     await asyncio.sleep(pause)
-                    pause = min(pause * 2, self._pause_s)
+                    pause = min(pause * 2, LONGEST_PAUSE_S)
                     continue
                 self._take_answer(name, action.attempt, action.journal, reply)
                 return
         except StoreError as error:
             _log.info("question_given_up", action=name, why=str(error))
-        finally:
-            if self._asking.get(name) is asyncio.current_task():
-                del self._asking[name]
 
     def _acknowledge_soon(self, module: ModuleName) -> None:
         """One acknowledgement for all actions that end within a moment."""
@@ -304,15 +292,9 @@ class Dispatcher:
 
     def _finish(self, action: Action, attempt: int, journal: str, outcome: Outcome) -> None:
         ended_ns = find_device_time(action, outcome.ended_ns, self._kernel.clock.now_ns())
-        fields = (
-            outcome.succeeded,
-            outcome.effects,
-            outcome.result,
-            outcome.error,
-            ended_ns,
-            outcome.collided,
-        )
-        self._kernel.submit(FinishAction(action.id, attempt, *fields, journal), str(action.module))
+        ids = {"action": action.id, "attempt": attempt, "journal": journal}
+        report = make_from(FinishAction, outcome, **ids, ended_ns=ended_ns)
+        self._kernel.submit(report, str(action.module))
 
     # -- publications ------------------------------------------------------------------------
 
@@ -332,7 +314,7 @@ class Dispatcher:
         name = ActionId(result.action)
         action = self._open(name)
         if action is None:
-            settled = self._state().actions.settled.get(name)
+            settled = self._kernel.state.actions.settled.get(name)
             if settled is not None and settled.module == module and 0 < result.attempt < MOST_ATTEMPTS:
                 self._ask_late(module, name, result.attempt)
             return
@@ -361,20 +343,19 @@ class Dispatcher:
         pause = 0.2
         try:
             for _ in range(LATE_QUESTIONS):
-                known = self._state().modules.by_name.get(module)
-                if known is None or name not in self._state().actions.settled:
+                known = self._kernel.state.modules.by_name.get(module)
+                if known is None or name not in self._kernel.state.actions.settled:
                     return
                 try:
                     question = Ask(self._kernel.lab, self._kernel.epoch, name, attempt, 1)
                     reply = await self._ask_node(module, question)
                 except BusError:
                     await asyncio.sleep(pause)
-                    pause = min(pause * 2, self._pause_s)
+                    pause = min(pause * 2, LONGEST_PAUSE_S)
                     continue
                 outcome = reply.outcome if reply.status == "finished" else None
                 if outcome is not None and reply.journal == known.journal and 0 < reply.attempt <= attempt:
-                    fields = (outcome.succeeded, outcome.effects, outcome.result, outcome.error)
-                    report = FinishAction(name, reply.attempt, *fields, collided=outcome.collided)
+                    report = make_from(FinishAction, outcome, action=name, attempt=reply.attempt, ended_ns=0)
                     self._kernel.submit(report, str(module))
                 return
         except LabosError as error:
@@ -387,34 +368,20 @@ class Dispatcher:
     def note_outranked(self, module: ModuleName, why: str) -> None:
         """A node reports that it obeys a newer kernel, or another lab's. Only the database can tell whether
         that is true."""
-        if module not in self._fenced:
-            self._fenced.add(module)
-            self._spawn(self._check_outranked(module, why))
+        self._tasks.spawn_once(module, partial(self._check_outranked, module, why))
 
     async def _check_outranked(self, module: ModuleName, why: str) -> None:
         try:
             await self._kernel.check_lease()
         except StoreError as error:
             _log.warning("lease_not_known", module=module, why=str(error))
-            await asyncio.sleep(self._pause_s)
-            self._ask_about(module)  # unless another kernel has the lab: then this one has stopped
+            await asyncio.sleep(LONGEST_PAUSE_S)
+            with contextlib.suppress(StoreError):  # asked again when the log is open
+                self.find_out_about(module)  # unless another kernel has the lab: then this one has stopped
         else:
             self.refuse(module, why)
-        finally:
-            self._fenced.discard(module)
-
-    def _ask_about(self, module: ModuleName) -> None:
-        try:
-            mine = [action.id for action in self._state().actions.open.values() if action.module == module]
-        except StoreError:
-            return  # the question is repeated when the log is open again
-        for name in mine:
-            self.find_out(name)
 
     # -- internal ----------------------------------------------------------------------------
-
-    def _state(self) -> LabState:
-        return self._kernel.state
 
     def _is_being_started(self, name: ActionId) -> bool:
         """Whether the module's present node process has not yet answered the request."""
@@ -426,12 +393,12 @@ class Dispatcher:
     def _find_instance(self, module: ModuleName) -> str:
         """The present process of the module's node; empty while the log is read again."""
         try:
-            return self._state().modules.by_name[module].instance
+            return self._kernel.state.modules.by_name[module].instance
         except StoreError:
             return ""
 
     def _open(self, name: ActionId) -> Action | None:
-        return self._state().actions.open.get(name)
+        return self._kernel.state.actions.open.get(name)
 
 
 def make_start(event: ActionRequested, lab: str, position: int) -> Start:

@@ -21,6 +21,7 @@ from labos.core.users import GroupEvent
 from labos.errors import StoreError
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
+from labos.runtime.tasks import KernelPart
 
 MAKES_ROOM = (
     *(CampaignEvent, SharesApplied, GroupEvent),
@@ -37,25 +38,19 @@ _log = structlog.get_logger(__name__)
 Propose = Callable[[Campaign, int], Awaitable[SubmitRow | RefuseRow]]
 
 
-class Feeder:
+class Feeder(KernelPart):
     """Proposes rows as long as there is room. One for each kernel. ``propose`` makes the command that submits
     a row of a campaign, or that says why this is impossible; an error that it raises counts as temporary."""
 
     def __init__(self, kernel: Kernel, propose: Propose) -> None:
-        self._kernel, self._propose = kernel, propose
+        super().__init__(kernel)
+        self._propose = propose
         self._bell = asyncio.Event()
-        self._task: asyncio.Task[None] | None = None
 
-    def start(self) -> None:
-        self._kernel.listeners.append(self)
+    async def start(self) -> None:
+        await super().start()
         self._bell.set()
-        self._task = asyncio.get_running_loop().create_task(self._feed())
-
-    async def close(self) -> None:
-        self._kernel.listeners.remove(self)
-        if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait({self._task})
+        self._tasks.spawn(self._feed())
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         if any(isinstance(entry.event, MAKES_ROOM) for entry in entries):

@@ -11,11 +11,12 @@ import contextlib
 import os
 import re
 from collections import defaultdict
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
-from labos.clock import Clock, SystemClock
+from labos.clock import SystemClock
 from labos.core.canonical import digest
 from labos.errors import LabosError, Unreadable
 from labos.node.files import LARGEST, PIECE
@@ -38,9 +39,8 @@ _request: msgspec.json.Decoder[FileRequest] = msgspec.json.Decoder(FetchFile | K
 class FileDesk:
     """Answers FileRequests; ``arriving`` is a folder for incomplete files."""
 
-    def __init__(self, blobs: BlobStore, arriving: Path, clock: Clock | None = None) -> None:
+    def __init__(self, blobs: BlobStore, arriving: Path) -> None:
         self._blobs, self._arriving = blobs, arriving
-        self._clock = clock or SystemClock()
         self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
 
     async def on_request(self, payload: bytes) -> bytes:
@@ -82,7 +82,7 @@ class FileDesk:
         path = self._arriving / request.digest
         if not path.exists():
             self._make_room()
-        with open(path, "ab", opener=_open_private) as file:
+        with open(path, "ab", opener=partial(os.open, mode=0o600)) as file:
             if request.data and file.tell() == request.offset:
                 file.write(request.data[: request.size - request.offset])
             received = file.tell()
@@ -104,12 +104,8 @@ class FileDesk:
                 status = path.stat()
                 found.append((status.st_mtime, status.st_size, path))
         found.sort(reverse=True)
-        size, stale = 0, self._clock.now_ns() / 1e9 - STALE_S
+        size, stale = 0, SystemClock().now_ns() / 1e9 - STALE_S
         for number, (touched, bytes_, path) in enumerate(found, 2):
             size += bytes_
             if touched < stale or number > MOST_ARRIVING or size > LARGEST_ARRIVING:
                 path.unlink(missing_ok=True)
-
-
-def _open_private(path: str, flags: int) -> int:
-    return os.open(path, flags, 0o600)

@@ -15,7 +15,7 @@ import structlog
 
 from labos.clock import Clock, Ids
 from labos.core.decide import Command, Rejection, decide
-from labos.core.envelope import GENESIS, find_damage
+from labos.core.envelope import GENESIS, check_chain
 from labos.core.fold import evolve
 from labos.core.ids import LabId
 from labos.core.registry import Event, decode
@@ -26,6 +26,7 @@ from labos.ports import EventStore, Head
 from labos.runtime.kernel import make_error
 from labos.runtime.kernel_log import Listener
 from labos.runtime.ledger import Entry, find_hash, load
+from labos.runtime.writer import settle
 
 POLL_S = 0.05
 """How often the log is checked for new events, while there are no requests."""
@@ -105,7 +106,7 @@ class FollowedKernel(FoldedLab):
         self._scheduler = plan_with(), -1
         self._looking = asyncio.Event()
         self._waiting: list[asyncio.Future[None]] = []
-        self._grown: list[tuple[int, asyncio.Future[None]]] = []
+        self._grown = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
 
     # -- queries of a kernel -----------------------------------------------------------------
@@ -156,25 +157,20 @@ class FollowedKernel(FoldedLab):
     async def wait_until_known(self, at_least: int = 0) -> None:
         """Wait until everything is known here that was on disk when this was called, and until the position
         ``at_least`` is. Raises StoreUnavailable, and Behind if that takes more than a few seconds."""
-        loop = asyncio.get_running_loop()
-        looked: asyncio.Future[None] = loop.create_future()
+        looked: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.append(looked)
         self._looking.set()
         await looked
-        if at_least <= self.durable:
-            return
-        grown: asyncio.Future[None] = loop.create_future()
-        self._grown.append((at_least, grown))
         try:
-            await asyncio.wait_for(grown, BEHIND_S)
+            async with asyncio.timeout(BEHIND_S):
+                while self.durable < at_least:
+                    await self._grown.wait()
         except TimeoutError:
             raise Behind(
                 f"This process knows the log up to position {self.durable}, not yet up to {at_least}.",
                 remedy="Ask again in a moment; if this does not change, its copy of the database is not up "
                 "to date.",
             ) from None
-        finally:
-            self._grown = [pair for pair in self._grown if pair[1] is not grown]
 
     async def _follow(self) -> None:
         logged = ""
@@ -202,12 +198,7 @@ class FollowedKernel(FoldedLab):
     @staticmethod
     def _answer_waiting(asked: Sequence[asyncio.Future[None]], error: LabosError | None = None) -> None:
         for future in asked:
-            if future.done():
-                continue
-            if error is None:
-                future.set_result(None)
-            else:
-                future.set_exception(error)
+            settle(future, None, error)
 
     async def _catch_up(self) -> None:
         head = await asyncio.to_thread(self._store.head)
@@ -225,13 +216,11 @@ class FollowedKernel(FoldedLab):
 
     def _read(self, after: int, before: bytes, head: Head) -> list[Entry]:
         """A page of new records, each checked against the one before. Raises LogDamaged."""
-        entries = []
-        for record in self._store.read(after, min(head.position, after + PAGE)):
-            if fault := find_damage(before, record):
-                at = record.head.position
-                raise LogDamaged(f"Position {at}: {fault}.", position=at, remedy="See labos verify.")
-            before = record.hash
-            entries.append(Entry(record, decode(record.head.type, record.head.schema, record.payload)))
+        records = self._store.read(after, min(head.position, after + PAGE))
+        entries = [
+            Entry(record, decode(record.head.type, record.head.schema, record.payload))
+            for record in check_chain(records, before, after, "See labos verify.")
+        ]
         if not entries:
             raise StoreUnavailable("The head of the log is after its last record.")
         return entries
@@ -245,9 +234,8 @@ class FollowedKernel(FoldedLab):
             self._hash = chunk[-1].record.hash
             for listener in self.listeners:
                 listener.on_committed(chunk)
-            for position, grown in self._grown:
-                if position <= self.durable and not grown.done():
-                    grown.set_result(None)
+            self._grown.set()  # wakes everybody who waits now
+            self._grown.clear()
             await asyncio.sleep(0)
 
     def _is_same_log(self) -> bool:

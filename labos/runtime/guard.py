@@ -12,27 +12,27 @@ import msgspec
 
 from labos.core.decide import Command
 
+LIMIT = 3
 FIRST_PAUSE_S = 0.5
 LONGEST_PAUSE_S = 300.0
 REMEMBERED = 1000
 
 
 class CircuitBreaker:
-    """Suspends an operation that has failed ``limit`` times in a row. It is tried again after a pause, which
+    """Suspends an operation that has failed ``LIMIT`` times in a row. It is tried again after a pause, which
     doubles with each failure. Times are seconds of a monotonic clock."""
 
-    def __init__(self, name: str, limit: int = 3) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
         self.why = ""
         """The text of the last failure; empty after a success."""
         self.retry_at: float | None = None
-        self._limit = limit
         self._failures = 0
 
     @property
     def is_open(self) -> bool:
         """Whether the operation is suspended."""
-        return self._failures >= self._limit
+        return self._failures >= LIMIT
 
     def allows(self, now: float, is_retry: bool) -> bool:
         """Whether it may be tried: always while it is not suspended, else only as a retry after its pause."""

@@ -318,8 +318,7 @@ class Kernel(KernelLog):
         """Modules that may have failed too often."""
         if not self.settings.quarantine_after:
             return []
-        found = {e.event.module: True for e in entries if isinstance(e.event, SUSPICIOUS)}
-        return list(found)
+        return list(dict.fromkeys(e.event.module for e in entries if isinstance(e.event, SUSPICIOUS)))
 
     def _grant_access(self, turn: _Turn) -> None:
         """There is nothing more to start: waiting requests for access are granted where nothing moves."""

@@ -23,7 +23,7 @@ from labos.errors import Fenced, LabosError, StoreError, StoreUnavailable
 from labos.ports import EventStore, LogQuery
 from labos.runtime.follower import Follower
 from labos.runtime.ledger import Entry, Ledger, load, snapshot
-from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error
+from labos.runtime.writer import PatientWriter, Writer, make_in_doubt_error, settle
 
 LONGEST_PAUSE_S = 5.0
 """The pause between two attempts to reach the store again."""
@@ -91,6 +91,7 @@ class KernelLog(ABC):
         self._waiting: deque[tuple[int, asyncio.Future[None]]] = deque()
         self._tasks: list[asyncio.Task[None]] = []
         self._snapshot_at = 0
+        self._saving: asyncio.Task[None] | None = None  # asyncio itself keeps no reference
         self._picture: tuple[int, bytes, str, bytes] | None = None
         self._closing = False
         self._to_standby = False
@@ -136,10 +137,8 @@ class KernelLog(ABC):
 
         def look(store: EventStore) -> list[tuple[int, int]]:
             found = store.select(LogQuery(types=(KernelStarted.TYPE,)))
-            mine = [record for record in found if record.head.type == KernelStarted.TYPE]
-            events = [decode(record.head.type, record.head.schema, record.payload) for record in mine]
-            pairs = zip(events, mine, strict=True)
-            return [(e.epoch, r.head.position) for e, r in pairs if isinstance(e, KernelStarted)]
+            pairs = [(decode(r.head.type, r.head.schema, r.payload), r.head.position) for r in found]
+            return [(event.epoch, at) for event, at in pairs if isinstance(event, KernelStarted)]
 
         return await self._writer.call(look)
 
@@ -149,9 +148,8 @@ class KernelLog(ABC):
             return False
 
         def look(store: EventStore) -> bool:
-            heads = [(r.head.type, r) for r in store.read(position - 1, position)]
-            requests = [r for kind, r in heads if kind == ActionRequested.TYPE]
-            events = [decode(r.head.type, r.head.schema, r.payload) for r in requests]
+            records = store.read(position - 1, position)
+            events = [decode(r.head.type, r.head.schema, r.payload) for r in records]
             return any(isinstance(e, ActionRequested) and e.action == action for e in events)
 
         return await self._writer.call(look)
@@ -251,9 +249,7 @@ class KernelLog(ABC):
             if not self._notify(listener, partial(listener.on_committed, entries)):
                 self._notify(listener, listener.on_reopened)  # it looks at everything again
         while self._waiting and self._waiting[0][0] <= position:
-            future = self._waiting.popleft()[1]
-            if not future.done():
-                future.set_result(None)
+            settle(self._waiting.popleft()[1], None)
         self._keep_snapshot(position)
 
     def _on_failure(self, error: StoreError) -> None:
@@ -270,8 +266,7 @@ class KernelLog(ABC):
         failure = make_in_doubt_error(error) if type(error) is StoreUnavailable else error
         waiting, self._waiting = self._waiting, deque()
         for _, future in waiting:
-            if not future.done():
-                future.set_exception(failure)
+            settle(future, None, failure)
         if self._closing:
             return
         if isinstance(error, Fenced):
@@ -367,13 +362,16 @@ class KernelLog(ABC):
             return
         if self._picture is not None and position >= self._picture[0]:
             picture, self._picture = self._picture, None
-            task = asyncio.get_running_loop().create_task(
-                self._writer.call(lambda store: store.save_snapshot(*picture))
-            )
-            task.add_done_callback(_swallow_store_error)
+            self._saving = asyncio.get_running_loop().create_task(self._save_snapshot(picture))
         if ledger.head.position - self._snapshot_at >= self.settings.snapshot_every:
             self._snapshot_at = ledger.head.position
             self._picture = snapshot(ledger.state, ledger.head)
+
+    async def _save_snapshot(self, picture: tuple[int, bytes, str, bytes]) -> None:
+        try:
+            await self._writer.call(lambda store: store.save_snapshot(*picture))
+        except StoreError as error:
+            _log.warning("snapshot_not_saved", error=str(error))
 
     async def _keep_lease(self) -> None:
         lease = self.settings.lease_s
@@ -399,11 +397,6 @@ class KernelLog(ABC):
                 raise StoreUnavailable("The log is still being read.", remedy="Try again in a moment.")
             raise StoreUnavailable(why.message, remedy=why.remedy)
         return self._ledger
-
-
-def _swallow_store_error(task: asyncio.Task[None]) -> None:
-    if not task.cancelled() and isinstance(task.exception(), StoreError):
-        _log.warning("snapshot_not_saved", error=str(task.exception()))
 
 
 def _make_store_error(error: Exception) -> StoreError:

@@ -13,7 +13,7 @@ import msgspec
 from labos.clock import Clock, Ids
 from labos.core.canonical import digest
 from labos.core.envelope import GENESIS, Envelope, Record, seal
-from labos.core.fold import evolve
+from labos.core.fold import evolve, fold_rows
 from labos.core.registry import Event, decode, encode
 from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture
 from labos.errors import LogDamaged
@@ -90,16 +90,15 @@ def load(
         if found is not None:
             state, hash_ = from_picture(found[2]), found[1]
     before = state.position
-    replay = getattr(store, "replay", None)
-    if replay is None:
-        fold(state, store.read(after=before))
-    else:  # the same records as plain tuples: see LogReader.replay
-        position = before
-        try:
-            for position, kind, schema, recorded_at, payload in replay(before, before=hash_, end=end):
-                evolve(state, decode(kind, schema, payload), position, recorded_at)
-        except (msgspec.MsgspecError, TypeError, LookupError, ValueError, AttributeError) as error:
-            raise _make_contradiction_error(position, error) from error
+    try:
+        fold_rows(state, store.replay(before, before=hash_, end=end))
+    except (msgspec.MsgspecError, TypeError, LookupError, ValueError, AttributeError) as error:
+        position = state.position + 1
+        raise LogDamaged(
+            f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
+            position=position,
+            remedy="Keep this database as it is; this is a fault of LabOS.",
+        ) from error
     if end is not None and state.lab.epoch > end.epoch:
         raise LogDamaged(
             f"The log holds a kernel of epoch {state.lab.epoch}, but its head row says {end.epoch}.",
@@ -107,14 +106,6 @@ def load(
             remedy="Keep this database as it is, and restore the log from a backup.",
         )
     return state, state.position - before
-
-
-def _make_contradiction_error(position: int, error: Exception) -> LogDamaged:
-    return LogDamaged(
-        f"The record at position {position} is as it was recorded, but contradicts the log ({error!r}).",
-        position=position,
-        remedy="Keep this database as it is; this is a fault of LabOS.",
-    )
 
 
 def fold(state: LabState, records: Iterable[Record]) -> None:

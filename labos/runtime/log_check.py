@@ -11,6 +11,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import structlog
@@ -83,10 +84,8 @@ class LogCheck:
             return
         self.damage = f"Position {found.position}: {found.reason}."
         _log.error("log_damaged", position=found.position, why=found.reason)
-        try:
+        with suppress(RuntimeError):  # the loop is closed: the next start checks again
             self._loop.call_soon_threadsafe(self._on_damage, found.position, found.reason)
-        except RuntimeError:  # the loop is closed: the next start checks again
-            pass
 
     def _note_progress(self, checked: int, total: int) -> None:
         self.checked, self.total = checked, total

@@ -3,9 +3,9 @@ log."""
 
 from __future__ import annotations
 
-import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
@@ -20,7 +20,7 @@ from labos.node.protocol import AdminReply, AdminRequest, Keys
 from labos.ports import Bus
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.tasks import Tasks
+from labos.runtime.tasks import KernelPart
 
 Name = TypeVar("Name", bound=str)
 
@@ -51,25 +51,19 @@ class Observer:
         return {resolve_station(module, str(place)): sight for place, sight in sights.items()}
 
 
-class ObservingListener(ABC, Generic[Name]):
-    """A kernel's listener that starts observations after events: one task for each name. ``answer_s`` is how
-    long a node may take to answer; ``observed`` is the number of observations."""
+class ObservingPart(KernelPart, ABC, Generic[Name]):
+    """Starts observations after events, one task for each name. ``answer_s`` is how long a node may take to
+    answer; ``observed`` is the number of observations."""
 
     def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0) -> None:
-        self._kernel, self._observer = kernel, Observer(kernel, bus, answer_s)
-        self._observing: dict[Name, asyncio.Task[None]] = {}
-        self._tasks = Tasks()
+        super().__init__(kernel)
+        self._observer = Observer(kernel, bus, answer_s)
         self.observed = 0
 
-    def start(self) -> None:
+    async def start(self) -> None:
         """Observe from now on, and at once for everything that is open already."""
-        self._kernel.listeners.append(self)
+        await super().start()
         self.on_reopened()
-
-    def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        self._tasks.cancel()
 
     @abstractmethod
     def on_committed(self, entries: Sequence[Entry]) -> None: ...
@@ -81,9 +75,7 @@ class ObservingListener(ABC, Generic[Name]):
     async def _observe(self, name: Name) -> None: ...
 
     def _observe_soon(self, name: Name) -> None:
-        running = self._observing.get(name)
-        if running is None or running.done():
-            self._observing[name] = self._tasks.spawn(self._observe(name))
+        self._tasks.spawn_once(name, partial(self._observe, name))
 
 
 class Requester(Protocol):

@@ -10,7 +10,6 @@ put down the labware in the hand, and observations before and after that do not 
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,10 +21,9 @@ from labos.core.effects import list_carried, list_places, name_hand
 from labos.core.ids import ActionId, InterventionId, ModuleName, StationName, local, workcell_of
 from labos.core.interventions import Intervention, InterventionRequested
 from labos.core.modules import NodeJoined, NodeStateChanged
-from labos.core.state import LabState
 from labos.errors import BusError, LabosError, StoreError
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, read_contents, resolve_station
+from labos.runtime.observing import ObservingPart, read_contents, resolve_station
 
 KINDS = ("unknown_action", "lost_labware")
 """Questions about motions with an unknown end."""
@@ -33,7 +31,7 @@ KINDS = ("unknown_action", "lost_labware")
 _log = structlog.get_logger(__name__)
 
 
-class Reconciler(ObservingListener[InterventionId]):
+class Reconciler(ObservingPart[InterventionId]):
     """Finds out for one kernel how motions with an unknown end have ended."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
@@ -79,9 +77,6 @@ class Reconciler(ObservingListener[InterventionId]):
                 await self._ask(other, self._list_possible_places(question), name)
         except LabosError as error:
             _log.info("look_given_up", intervention=name, why=str(error))
-        finally:
-            if self._observing.get(name) is asyncio.current_task():
-                del self._observing[name]
 
     async def _ask(self, module: ModuleName, wanted: set[StationName], about: InterventionId) -> bool:
         """Let a module observe, and submit its observations to the kernel; returns whether it answered."""
@@ -109,10 +104,11 @@ class Reconciler(ObservingListener[InterventionId]):
         return any(all(sights.get(place) in (0, False) for place in maybe) for maybe in doubtful)
 
     def _report_sight(self, module: ModuleName, station: StationName, what: Any) -> None:
-        command = read_sight(self._kernel.state, station, what, local(module))
-        if command is None:
-            return
-        answer = self._kernel.submit(command, str(module))
+        state = self._kernel.state
+        contents = read_contents(state, what) if station in state.bench.stations else None
+        if contents is None:
+            return  # its node cannot tell
+        answer = self._kernel.submit(ObserveStation(station, local(module), *contents), str(module))
         if isinstance(answer, Rejection):
             _log.info("sight_not_taken", module=module, station=station, why=answer.message)
         else:
@@ -156,10 +152,3 @@ class Reconciler(ObservingListener[InterventionId]):
             if name != first and observed & wanted:
                 found.append(name)
         return found
-
-
-def read_sight(state: LabState, station: StationName, what: Any, by: str) -> ObserveStation | None:
-    """The command for a node's observation of a station: whether there is something, how much, or a barcode;
-    null if the node cannot tell."""
-    contents = read_contents(state, what) if station in state.bench.stations else None
-    return ObserveStation(station, by, *contents) if contents is not None else None

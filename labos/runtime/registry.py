@@ -27,14 +27,14 @@ from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import BusError, LabosError, NoAnswer, StoreError, Unreadable
 from labos.node.journal import knows_more
 from labos.node.protocol import AboutReport, AdminRequest, Keys, StateReport, explain_skew
-from labos.ports import Bus, Handle
+from labos.ports import Bus
 from labos.runtime.discovery import Discovery
 from labos.runtime.dispatcher import Dispatcher
 from labos.runtime.incoming import RateLimiter, find_module, read_about, read_state
 from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
 from labos.runtime.liveness import Liveness
-from labos.runtime.tasks import Tasks
+from labos.runtime.tasks import KernelPart
 
 GREET_S = 0.1
 """The shortest pause between two requests to one node for its description."""
@@ -47,7 +47,7 @@ TWO_NODES = "two nodes claim this module"
 _log = structlog.get_logger(__name__)
 
 
-class Registry:
+class Registry(KernelPart):
     """Keeps the modules slice up to date with the nodes on the bus. A node counts as gone after ``silence_s``
     without a heartbeat; a node that obeys another kernel is asked again after ``barred_s``. ``is_stopping``
     tells whether a module's node was ordered to end."""
@@ -63,16 +63,15 @@ class Registry:
         barred_s: float = 30.0,
         is_stopping: Callable[[ModuleName], bool] = lambda _: False,
     ) -> None:
-        self._kernel, self._bus, self._dispatcher = kernel, bus, dispatcher
+        super().__init__(kernel)
+        self._bus, self._dispatcher = bus, dispatcher
         self._is_stopping = is_stopping
         self._silence_s, self._answer_s, self._barred_s = silence_s, answer_s, barred_s
         self.lab = kernel.lab
         self._keys = Keys(kernel.lab)
         self._living = Liveness()
-        self._handles: list[Handle] = []
-        self._tasks = Tasks()
         self._greeting: dict[ModuleName, bool] = {}
-        self._discovery = Discovery(kernel, self._ask_about)
+        self._discovery = Discovery(kernel, self._ask_about, self._tasks)
         self._changes = RateLimiter(kernel.clock, 0.2, 50)
         self._doubled: dict[ModuleName, float] = {}
         self._barred: dict[ModuleName, float] = {}
@@ -84,19 +83,11 @@ class Registry:
 
     async def start(self) -> None:
         """Watch from now on. Nodes that are present in the log but not running are recorded as gone."""
-        self._kernel.listeners.append(self)
+        await super().start()
         self._dispatcher.refuse = self._refuse
         self._handles.append(await self._bus.subscribe(self._keys.all_states, self._on_state))
         self._handles.append(await self._bus.watch_alive(self._keys.all_alive, self._on_alive))
         self._tasks.spawn(self._listen())
-
-    async def close(self) -> None:
-        if self in self._kernel.listeners:
-            self._kernel.listeners.remove(self)
-        for handle in self._handles:
-            handle.close()
-        self._tasks.cancel()
-        self._discovery.close()
 
     @property
     def living(self) -> list[ModuleName]:
@@ -185,7 +176,7 @@ class Registry:
         pause = GREET_S
         while self._living.list_instances(module):
             if module not in self._kernel.state.modules.by_name:
-                self._reject_stranger(module)
+                self._reject(module, f"No workcell of this lab has a module {local(module)}.")
                 return
             barred_s = self._barred.get(module, 0.0) - self._kernel.clock.monotonic()
             if barred_s > 0:
@@ -198,8 +189,7 @@ class Registry:
                     self.rejected[module] = TWO_NODES
                     raise NoAnswer(f"Two nodes answer for {module}, in turn.")
                 if skew := explain_skew(about.protocol, "Its node", cut(about.labos, LONGEST_NAME)):
-                    self.rejected[module] = skew
-                    self._dispatcher.doubts.note("node_not_admitted", module, skew)
+                    self._reject(module, skew)
                     return
                 if about.epoch > self._kernel.epoch:
                     if self._is_second(module, about):
@@ -212,8 +202,7 @@ class Registry:
                 return
             except BusError as error:
                 if isinstance(error, Unreadable):
-                    self.rejected[module] = error.message
-                    self._dispatcher.doubts.note("node_unreadable", module, error.message)
+                    self._reject(module, error.message, "node_unreadable")
                 await asyncio.sleep(pause)
                 pause = min(pause * 2, 2.0)
 
@@ -224,9 +213,9 @@ class Registry:
             return False
         return known.instance in self._living.list_instances(module)
 
-    def _reject_stranger(self, module: ModuleName) -> None:
-        self.rejected[module] = f"No workcell of this lab has a module {local(module)}."
-        self._dispatcher.doubts.note("node_not_admitted", module, self.rejected[module])
+    def _reject(self, module: ModuleName, why: str, what: str = "node_not_admitted") -> None:
+        self.rejected[module] = why
+        self._dispatcher.doubts.note(what, module, why)
 
     async def _find_position_beyond(self, about: AboutReport) -> int:
         """The position up to which a node was acknowledged, if the log is shorter than that."""
@@ -285,15 +274,10 @@ class Registry:
             self._kernel.submit(HearJournal(module, tuple(strange)), str(module))
         if beyond:
             self._tasks.spawn(self._rewind(module))
-        self._find_out_about(module)
+        self._dispatcher.find_out_about(module)
         now = self._kernel.state.modules.by_name.get(module)
         if now is not None and now.instance == report.instance:
             self._compare_report(module, report)
-
-    def _find_out_about(self, module: ModuleName) -> None:
-        for action in list(self._kernel.state.actions.open.values()):
-            if action.module == module:
-                self._dispatcher.find_out(action.id)
 
     async def _rewind(self, module: ModuleName) -> None:
         """Let a node accept requests again at positions that were already acknowledged. If this message is

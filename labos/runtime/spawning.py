@@ -17,6 +17,7 @@ import msgspec
 import structlog
 
 from labos.runtime.fork_server import PACKET, Answer, ChildEnded, StartChild
+from labos.runtime.writer import settle
 
 PYTHON = (sys.executable, "-m", "labos")
 """The first words of a command that the fork server can carry out."""
@@ -210,8 +211,7 @@ class ForkServer:
         asked, stdin = self._asked.popleft()
         if not answer.pid:
             _close(stdin)
-            if not asked.done():
-                asked.set_exception(OSError(answer.why))
+            settle(asked, None, OSError(answer.why))
             return
         child = self._children[answer.pid] = ForkedChild(answer.pid, stdin, self._is_alive)
         if asked.done():
@@ -235,8 +235,7 @@ class ForkServer:
         asked, self._asked = self._asked, deque()
         for answer, stdin in asked:
             _close(stdin)
-            if not answer.done():
-                answer.set_exception(OSError(f"The fork server is given up: {why}."))
+            settle(answer, None, OSError(f"The fork server is given up: {why}."))
 
 
 def make_environment() -> dict[str, str]:

@@ -165,7 +165,7 @@ class Supervisor:
                 while (ended := child.poll()) is None:  # noqa: ASYNC110 (cheaper than a thread each)
                     await asyncio.sleep(POLL_S)
                 code = ended
-                self._let_go(command.module)
+                self._children.pop(command.module).close_stdin()
             node.pid = 0
             with contextlib.suppress(OSError):
                 self._note_file(command.module).unlink()
@@ -212,9 +212,6 @@ class Supervisor:
             child.close_stdin()
         elif node.pid:
             _send_signal(node.pid)
-
-    def _let_go(self, module: str) -> None:
-        self._children.pop(module).close_stdin()
 
     # -- processes of an earlier kernel ------------------------------------------------------
 

@@ -19,23 +19,19 @@ from labos.core.decide.verification import Seen, VerifyAction, is_disturbed
 from labos.core.ids import ActionId, ModuleName, StationName, local
 from labos.core.texts import cut
 from labos.errors import BusError, LabosError
-from labos.ports import Bus
-from labos.runtime.kernel import Kernel
 from labos.runtime.ledger import Entry
-from labos.runtime.observing import ObservingListener, read_contents
+from labos.runtime.observing import ObservingPart, read_contents
 
 PAUSE_S = 0.5
+
+PATIENCE_S = 30.0
+"""How long an observer that does not answer is asked."""
 
 _log = structlog.get_logger(__name__)
 
 
-class Verifier(ObservingListener[ActionId]):
-    """Observes for one kernel whether reported actions had their effects. ``patience_s`` is how long an
-    observer that does not answer is asked."""
-
-    def __init__(self, kernel: Kernel, bus: Bus, *, answer_s: float = 5.0, patience_s: float = 30.0) -> None:
-        super().__init__(kernel, bus, answer_s=answer_s)
-        self._patience_s = patience_s
+class Verifier(ObservingPart[ActionId]):
+    """Observes for one kernel whether reported actions had their effects."""
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
         for entry in entries:
@@ -52,11 +48,11 @@ class Verifier(ObservingListener[ActionId]):
     async def _observe(self, name: ActionId) -> None:
         """Observe until nothing has changed during an observation, and every place was observed."""
         clock = self._kernel.clock
-        give_up = clock.monotonic() + self._patience_s
+        give_up = clock.monotonic() + PATIENCE_S
         try:
             while (action := self._find_reported(name)) is not None:
                 if is_disturbed(self._kernel.state, action):
-                    give_up = clock.monotonic() + self._patience_s
+                    give_up = clock.monotonic() + PATIENCE_S
                     await asyncio.sleep(PAUSE_S)
                     continue
                 before = self._describe_places(action)
@@ -64,16 +60,13 @@ class Verifier(ObservingListener[ActionId]):
                 if self._find_reported(name) is None:
                     return
                 if unseen and self._is_at_work(action):
-                    give_up = clock.monotonic() + self._patience_s
+                    give_up = clock.monotonic() + PATIENCE_S
                 if self._describe_places(action) == before and (not unseen or clock.monotonic() >= give_up):
                     self._report_observation(action, observed, unseen)
                     return
                 await asyncio.sleep(PAUSE_S)
         except LabosError as error:
             _log.info("look_given_up", action=name, why=str(error))  # observed again when the log is open
-        finally:
-            if self._observing.get(name) is asyncio.current_task():
-                del self._observing[name]
 
     async def _list_observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
         """The observations at the places where an action should have had its effect; and why not every place

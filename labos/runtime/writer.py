@@ -14,6 +14,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any, Protocol, TypeVar
 
 import msgspec
@@ -30,6 +31,9 @@ HOLD_S = 0.02
 
 SILENCE_S = 10.0
 """A request to a database without an answer for so long is abandoned, unless another limit is set."""
+
+LARGEST_BATCH = 2000
+"""The number of records from which a commit takes no further batch."""
 
 LEAVE_S = 5.0
 """How long a thread may take to end after its pending call was interrupted."""
@@ -125,11 +129,8 @@ class ThreadWriter:
     ``on_commit`` is called with the duration of each commit, in seconds.
     """
 
-    def __init__(
-        self, store: AnsweringStore, *, largest_batch: int = 2000, silence_s: float = SILENCE_S
-    ) -> None:
+    def __init__(self, store: AnsweringStore, *, silence_s: float = SILENCE_S) -> None:
         self._store = store
-        self._largest = largest_batch
         self._silence_s = silence_s
         self._jobs: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._loop = asyncio.get_running_loop()
@@ -195,7 +196,7 @@ class ThreadWriter:
             "before you repeat a request.",
         )
         for future in self._calls:
-            _fail(future, error)
+            settle(future, None, error)
         self._report_failure(error, self._turn)
         self._store.hang_up()
 
@@ -225,7 +226,7 @@ class ThreadWriter:
     def _write(self, first: _Batch) -> _Job:
         """Commit a batch together with those that queued up behind it; returns the next job."""
         records, taken = list(first.records), 1
-        while len(records) < self._largest:
+        while len(records) < LARGEST_BATCH:
             try:
                 job = self._jobs.get_nowait()
             except queue.Empty:
@@ -259,29 +260,26 @@ class ThreadWriter:
     def _serve(self, function: Callable[[EventStore], Any], future: asyncio.Future[Any] | None) -> None:
         if future is not None and future.done():
             return  # no caller waits for it any more
+        result, failure = None, None
         try:
             result = function(self._store)
         except Exception as error:
-            if future is not None:
-                self._call_in_loop(_fail, future, error)
-        else:
-            if future is not None:
-                self._call_in_loop(_answer, future, result)
+            failure = error
+        if future is not None:
+            self._call_in_loop(settle, future, result, failure)
 
     def _call_in_loop(self, function: Callable[..., None], *args: Any) -> None:
-        try:
+        with suppress(RuntimeError):  # the loop is closed: no caller waits any more
             self._loop.call_soon_threadsafe(function, *args)
-        except RuntimeError:  # the loop is closed: no caller waits any more
-            pass
 
 
-def _answer(future: asyncio.Future[Any], result: Any) -> None:
-    if not future.done():
+def settle(future: asyncio.Future[Any], result: Any, error: BaseException | None = None) -> None:
+    """Give a result or an error to a caller, if it still waits."""
+    if future.done():
+        return
+    if error is None:
         future.set_result(result)
-
-
-def _fail(future: asyncio.Future[Any], error: BaseException) -> None:
-    if not future.done():
+    else:
         future.set_exception(error)
 
 

@@ -22,7 +22,7 @@ from labos.core.runs import RunSubmitted
 from labos.core.viewer import Visibility
 from labos.errors import NotFound
 from labos.ports import LogQuery
-from labos.services.catalogue import Catalogue, read_catalogue
+from labos.services.catalogue import read_catalogue
 from labos.services.log import Log, decode_events
 from labos.services.runs import FAMILIES, RunBook
 
@@ -86,8 +86,7 @@ def list_campaign_rows(log: Log, name: str) -> list[RowHistory]:
     """The rows of a campaign that were submitted or refused, in order. Raises NotFound."""
     known = False
     rows: dict[int, RowHistory] = {}
-    names: Catalogue = read_catalogue(log)
-    book = RunBook(names)
+    book = RunBook(read_catalogue(log))
     for event, head in decode_events(log.select(LogQuery(correlation=name))):
         known = known or isinstance(event, CampaignEvent)
         if isinstance(event, CampaignRowRefused):

@@ -28,7 +28,6 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.errors import Refused
 from labos.planning.choosing import sort_options
-from labos.planning.explain import describe_wait
 from labos.planning.scheduler import Scheduler, list_ready_steps
 
 CAP = 32
@@ -55,7 +54,6 @@ def measure_capacity(
     inputs: tuple[StationName, ...] = (),
     *,
     others: Sequence[Plan] = (),
-    cap: int = CAP,
 ) -> Capacity:
     """Start copies of a plan one by one until one is refused. ``stock`` is (station, labware type, count);
     ``inputs`` are the stations where a run's labware must stand at its start; ``others`` are plans that a
@@ -63,19 +61,19 @@ def measure_capacity(
     plan, *others = map(_approve, (plan, *others))
     bench = _PaperBench()
     bench.furnish(workcell, stock, inputs)
-    for _ in range(cap):
+    for _ in range(CAP):
         bench.do(SubmitRun(plan, USER, others=tuple(others)))
     # Every turn starts a step, so the loop ends with the steps of all copies.
     why = ""
-    while len(bench.state.runs.active) < cap:
+    while len(bench.state.runs.active) < CAP:
         wait = bench.start_oldest()
         if wait is None:
             continue
-        why = describe_wait(wait)
+        why = wait.reason.sentence
         if wait.blocked or not bench.go_on():
             break
     copies = len(bench.state.runs.active)
-    return Capacity(copies, copies >= cap, "" if copies >= cap else why)
+    return Capacity(copies, copies >= CAP, "" if copies >= CAP else why)
 
 
 def _approve(plan: Plan) -> Plan:

@@ -54,6 +54,14 @@ class DoctorFinding(msgspec.Struct, frozen=True):
     remedy: str = ""
 
 
+def grade(
+    name: str, result: str, remedy: str, *, fault: bool = False, warning: bool = False
+) -> DoctorFinding:
+    """The finding of a check; its remedy only if something is wrong."""
+    state: State = "fault" if fault else "warning" if warning else "ok"
+    return DoctorFinding(name, state, result, "" if state == "ok" else remedy)
+
+
 MOST_NAMED = 5
 """At most so many calibrations that expire are named."""
 
@@ -66,12 +74,9 @@ def check_space(folder: Path) -> DoctorFinding:
     free = shutil.disk_usage(folder).free
     result = f"{free / 1e9:.1f} GB are free on the disk of {folder}."
     if free < LEAST_BYTES:
-        return DoctorFinding(
-            "disk space", "fault", result, "Make room: the kernel stops when its log cannot be written."
-        )
-    if free < LITTLE_BYTES:
-        return DoctorFinding("disk space", "warning", result, "Make room before it runs out.")
-    return DoctorFinding("disk space", "ok", result)
+        remedy = "Make room: the kernel stops when its log cannot be written."
+        return DoctorFinding("disk space", "fault", result, remedy)
+    return grade("disk space", result, "Make room before it runs out.", warning=free < LITTLE_BYTES)
 
 
 def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
@@ -86,9 +91,7 @@ def check_rehearsal(home: Path, now_ns: int) -> DoctorFinding:
         f"On {show_time(at)} the backup in {folder} was restored as a test, up to position "
         f"{position}, in {took:.1f} s."
     )
-    if now_ns - at > LONG_UNREHEARSED_NS:
-        return DoctorFinding("backup", "warning", result, remedy)
-    return DoctorFinding("backup", "ok", result)
+    return grade("backup", result, remedy, warning=now_ns - at > LONG_UNREHEARSED_NS)
 
 
 def check_durations(found: Sequence[Drift]) -> DoctorFinding:
@@ -118,22 +121,16 @@ def check_calibrations(state: LabState, now_ns: int) -> list[DoctorFinding]:
         return []
     soon = sorted((one.until, of, one) for of, one in dated if one.expires_soon(now_ns))
     if not soon:
-        return [
-            DoctorFinding(
-                "calibrations", "ok", f"Of {len(dated)} calibrations none expires within {WARN_DAYS} days."
-            )
-        ]
+        result = f"Of {len(dated)} calibrations none expires within {WARN_DAYS} days."
+        return [DoctorFinding("calibrations", "ok", result)]
     named = [
         f"{of} {'has expired: it was' if one.has_expired(now_ns) else 'is'} valid until {until}"
         for until, of, one in soon[:MOST_NAMED]
     ]
     more = f"; and {len(soon) - MOST_NAMED} more" if len(soon) > MOST_NAMED else ""
     result = f"Calibrations: {'; '.join(named)}{more}. No run waits for that."
-    return [
-        DoctorFinding(
-            "calibrations", "warning", result, "Calibrate; then: labos calibrate MODULE --until DATE"
-        )
-    ]
+    remedy = "Calibrate; then: labos calibrate MODULE --until DATE"
+    return [DoctorFinding("calibrations", "warning", result, remedy)]
 
 
 def check_sync(folder: Path) -> DoctorFinding:
@@ -153,11 +150,7 @@ def check_sync(folder: Path) -> DoctorFinding:
     median = statistics.median(took)
     result = f"A small write is durable after {median * 1e3:.1f} ms (median of {SYNCS})."
     remedy = "Put the database on a local SSD: an action takes three such writes."
-    if median > SLOWEST_SYNC_S:
-        return DoctorFinding("disk sync", "fault", result, remedy)
-    return DoctorFinding(
-        "disk sync", "warning" if median > SLOW_SYNC_S else "ok", result, remedy * (median > SLOW_SYNC_S)
-    )
+    return grade("disk sync", result, remedy, fault=median > SLOWEST_SYNC_S, warning=median > SLOW_SYNC_S)
 
 
 def check_permissions(paths: Iterable[Path]) -> DoctorFinding:
@@ -195,7 +188,7 @@ def check_certificates(authority: Authority, now_ns: int) -> list[DoctorFinding]
             f"The authority in {authority.folder} ends {show_time(ends)}, and all its certificates end then."
         )
         remedy = "Make another authority (labos pki init --pki FOLDER), and issue all certificates again."
-        found.append(DoctorFinding("authority", "warning" if ends > now_ns else "fault", result, remedy))
+        found.append(grade("authority", result, remedy, fault=ends <= now_ns, warning=True))
     if not found:
         first = min((entry.not_after for entry in admitted), default=ends)
         result = f"{len(admitted)} certificates of the bus are valid, the first ends {show_time(first)}."
@@ -228,9 +221,9 @@ def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
     if answer in ("IDLE", "BUSY"):
         found.append(DoctorFinding(about, "ok", f"{name} answers: {answer}."))
     else:
-        state: State = "warning" if answer == "out" else "fault"
         result = f"{name} cannot work ({answer}): {str(one.get('why', '')).rstrip('.')}."
-        found.append(DoctorFinding(about, state, result, f"labos nodes --check {name} shows what to do."))
+        remedy = f"labos nodes --check {name} shows what to do."
+        found.append(grade(about, result, remedy, fault=answer != "out", warning=True))
     if not checked:
         return found
     if checked["labos"] and checked["labos"] != version:
@@ -242,10 +235,6 @@ def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
     if ahead is not None and abs(ahead) > CLOCK_OFF_S:
         side = "ahead of" if ahead > 0 else "behind"
         result = f"The clock of {name}'s computer is {abs(ahead):.1f} s {side} the kernel's."
-        wrong: State = "fault" if abs(ahead) > CLOCK_WRONG_S else "warning"
-        found.append(
-            DoctorFinding(
-                f"clock {name}", wrong, result, "Let both follow the same time server (chrony, NTP)."
-            )
-        )
+        remedy = "Let both follow the same time server (chrony, NTP)."
+        found.append(grade(f"clock {name}", result, remedy, fault=abs(ahead) > CLOCK_WRONG_S, warning=True))
     return found

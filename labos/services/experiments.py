@@ -49,10 +49,9 @@ def list_experiment_histories(log: Log) -> dict[str, ExperimentHistory]:
                 histories[event.experiment] = make_from(
                     ExperimentHistory, event, id=event.experiment, started_at=head.recorded_at
                 )
-            case ExperimentCancelled():
-                histories[event.experiment].status, histories[event.experiment].why = "cancelled", event.why
-            case ExperimentClosing():
-                histories[event.experiment].status, histories[event.experiment].why = "closing", event.why
+            case ExperimentCancelled() | ExperimentClosing():
+                story = histories[event.experiment]
+                story.status, story.why = event.TYPE.partition(".")[2], event.why
             case ExperimentEnded():
                 story = histories[event.experiment]
                 story.status, story.ended_at = "ended", head.recorded_at

@@ -96,13 +96,12 @@ class FilteredLog:
     def _check(self) -> None:
         wanted, names = self.wanted, self.names
         check_types(wanted.types)
-        if wanted.run and wanted.run not in names.runs:
-            raise NotFound(
-                f"There is no run {wanted.run!r} in this log.", remedy="List them: labos runs --all"
-            )
-        if wanted.experiment and wanted.experiment not in names.experiments:
-            remedy = "List them: labos experiments --all"
-            raise NotFound(f"There is no experiment {wanted.experiment!r} in this log.", remedy=remedy)
+        for kind, name, known, remedy in (
+            ("run", wanted.run, names.runs, "List them: labos runs --all"),
+            ("experiment", wanted.experiment, names.experiments, "List them: labos experiments --all"),
+        ):
+            if name and name not in known:
+                raise NotFound(f"There is no {kind} {name!r} in this log.", remedy=remedy)
         if wanted.module:
             self._check_module(wanted.module)
         if wanted.labware and not self._knows_labware(wanted.labware):

@@ -22,7 +22,7 @@ from labos.core.structs import make_from
 from labos.core.topics import PlannedWork
 from labos.planning.scheduler import Scheduler
 from labos.services.history import fold_state_at
-from labos.services.inventory import Inventory, Shortfall, count_inventory, list_shortfalls
+from labos.services.inventory import Inventory, count_inventory, list_shortfalls
 from labos.services.log import Log, decode_events
 from labos.services.runs import RunBook
 from labos.services.times import iso_time
@@ -184,7 +184,10 @@ def read_handover(log: Log, since: int, until: int, *, kernel_runs: bool = True)
         labware=tuple(
             _make_idle_labware(item, given) for item in state.bench.labware.values() if _is_left(item)
         ),
-        runs_out=tuple(_make_shortage(name, out) for name, out in list_shortfalls(left)),
+        runs_out=tuple(
+            make_from(Shortage, out, what=local(name).replace(":", " "))
+            for name, out in list_shortfalls(left)
+        ),
         expired=tuple(_list_expired(left)),
         twh=meter.report(until).lab,
     )
@@ -246,10 +249,6 @@ def _make_idle_labware(item: Labware, given: dict[str, str]) -> IdleLabware:
     maybe = tuple(local(place) or "gone" for place in item.maybe)
     station = "" if maybe else local(item.station)
     return IdleLabware(item.id, item.type, station, item.owner, maybe, given.get(item.id, ""))
-
-
-def _make_shortage(name: str, out: Shortfall) -> Shortage:
-    return Shortage(local(name).replace(":", " "), out.run, out.workflow, out.step, out.at)
 
 
 def _list_expired(left: Inventory) -> Iterator[ExpiredPack]:

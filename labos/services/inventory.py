@@ -104,8 +104,7 @@ class Ahead(msgspec.Struct, frozen=True):
 
 def count_inventory(state: LabState, now: int, today: str) -> Inventory:
     """The remaining material at ``now`` (UTC ns); ``today`` is the date by which lots expire."""
-    promised: dict[str, float] = {}
-    short: dict[str, Shortfall] = {}
+    needs = _Needs()
     left: dict[str, float] = {name: level.level for name, level in state.resources.levels.items()}
     for place, station in state.bench.stations.items():
         if station.spec.kind == "stack" and station.known:
@@ -116,22 +115,28 @@ def count_inventory(state: LabState, now: int, today: str) -> Inventory:
     for found in list_runs_ahead(state, now):
         looked_at += 1
         for step, at, name, amount in found.uses:
-            promised[name] = promised.get(name, 0.0) + amount
-            if name in left and name not in short and promised[name] > left[name]:
-                short[name] = Shortfall(found.run.id, found.run.workflow, step, at)
+            needs.promised[name] = needs.promised.get(name, 0.0) + amount
+            if name in left and name not in needs.short and needs.promised[name] > left[name]:
+                needs.short[name] = Shortfall(found.run.id, found.run.workflow, step, at)
     return Inventory(
-        tuple(_list_resources(state, today, promised, short)),
-        tuple(_list_stacks(state, promised, short)),
+        tuple(_list_resources(state, today, needs)),
+        tuple(_list_stacks(state, needs)),
         looked_at,
-        tuple(_list_wastes(state, promised, short)),
+        tuple(_list_wastes(state, needs)),
     )
 
 
-Promised = dict[str, float]
-Shorts = dict[str, Shortfall]
+class _Needs(msgspec.Struct):
+    """What runs will still use, and the first run that finds too little, by material."""
+
+    promised: dict[str, float] = {}
+    short: dict[str, Shortfall] = {}
+
+    def look_up(self, name: str) -> tuple[float, Shortfall | None]:
+        return self.promised.get(name, 0.0), self.short.get(name)
 
 
-def _list_resources(state: LabState, today: str, promised: Promised, short: Shorts) -> Iterator[ResourceLeft]:
+def _list_resources(state: LabState, today: str, needs: _Needs) -> Iterator[ResourceLeft]:
     modules = list(dict.fromkeys(split_level_key(name)[0] for name in state.resources.levels))
     place = {module: at for at, module in enumerate(modules)}
 
@@ -148,28 +153,27 @@ def _list_resources(state: LabState, today: str, promised: Promised, short: Shor
             for lot in level.lots
         )
         unit = spec.spec.units.get(resource, "") if spec is not None else ""
-        figures = (level.level, level.capacity, unit, lots, promised.get(name, 0.0), short.get(name))
+        figures = (level.level, level.capacity, unit, lots, *needs.look_up(name))
         yield ResourceLeft(ModuleName(module), resource, *figures)
 
 
-def _list_stacks(state: LabState, promised: Promised, short: Shorts) -> Iterator[StackLeft]:
+def _list_stacks(state: LabState, needs: _Needs) -> Iterator[StackLeft]:
     for place, station in state.bench.stations.items():
         if station.spec.kind != "stack":
             continue
         pieces = zip(reversed(station.stock), reversed(station.lots), strict=True)
         contents = tuple(Contents(*kind, len(list(same))) for kind, same in groupby(pieces))
-        wanted = int(promised.get(f"stack:{place}", 0))
-        out = short.get(f"stack:{place}")
-        figures = (len(station.stock), station.spec.capacity, contents, wanted, station.known, out)
+        wanted, out = needs.look_up(f"stack:{place}")
+        figures = (len(station.stock), station.spec.capacity, contents, int(wanted), station.known, out)
         yield StackLeft(place, *figures)
 
 
-def _list_wastes(state: LabState, promised: Promised, short: Shorts) -> Iterator[WasteLeft]:
+def _list_wastes(state: LabState, needs: _Needs) -> Iterator[WasteLeft]:
     for place, station in state.bench.stations.items():
         if station.spec.kind == "waste":
             capacity = station.spec.capacity
-            wanted, out = int(promised.get(f"waste:{place}", 0)), short.get(f"waste:{place}")
-            yield WasteLeft(place, capacity - station.count, capacity, wanted, out)
+            wanted, out = needs.look_up(f"waste:{place}")
+            yield WasteLeft(place, capacity - station.count, capacity, int(wanted), out)
 
 
 def list_runs_ahead(state: LabState, now: int) -> Iterator[Ahead]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -10,8 +11,10 @@ import msgspec
 from labos.core.decide.shorter import FoundAction
 from labos.core.ids import ActionId, ModuleName
 from labos.core.lab import KernelStarted
+from labos.core.structs import make_from
 from labos.errors import JournalDamaged, Refused
-from labos.node.journal import Journal, knows_more
+from labos.node.journal import Memory, knows_more, read_journal
+from labos.node.protocol import Unacknowledged
 from labos.ports import LogQuery
 from labos.services.log import Log, decode_event
 
@@ -26,13 +29,7 @@ class Surplus(msgspec.Struct, frozen=True):
 def find_owners(folder: Path) -> dict[str, str]:
     """The labs to which the journals in a folder belong, by ``workcell.module``. Damaged journals, and those
     without a lab, are left out."""
-    found: dict[str, str] = {}
-    for path in sorted(folder.glob("*.journal")):
-        with contextlib.suppress(JournalDamaged):
-            journal = Journal.read(path.read_bytes())
-            if journal.lab:
-                found[path.stem] = journal.lab
-    return found
+    return {name: journal.lab for name, journal in _read_sound(folder) if journal.lab}
 
 
 def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
@@ -51,7 +48,7 @@ def refuse_lost_log(log: Log, folder: Path, database: str) -> None:
         )
 
 
-def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
+def list_surplus(log: Log, journals: dict[str, Memory]) -> list[Surplus]:
     """The entries of journals that the log does not have. The journals must have been read before the log, as
     a request is in the log before its node receives it."""
     head = log.head()
@@ -67,10 +64,9 @@ def list_surplus(log: Log, journals: dict[str, Journal]) -> list[Surplus]:
             found.append(Surplus(name, f"a kernel of epoch {journal.epoch}; the log's last has {head.epoch}"))
         if knows_more(journal.pruned, journal.pruned_by, head.position, starts):
             found.append(Surplus(name, f"of a log up to position {journal.pruned}"))
-        for attempt in journal.open_attempts():
-            if not _is_requested(log, attempt.position, attempt.action, head.position):
-                what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
-                found.append(Surplus(name, what))
+        for attempt in _list_unlogged(log, journal, head.position):
+            what = f"{attempt.name} ({attempt.status}), requested at position {attempt.position}"
+            found.append(Surplus(name, what))
     return found
 
 
@@ -80,28 +76,35 @@ def find_untold(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundActi
     journals are left out, as their nodes refuse to start."""
     head, starts = log.head(), _list_starts(log)
     found: list[tuple[ModuleName, list[FoundAction], int]] = []
-    for path in sorted(folder.glob("*.journal")):
-        with contextlib.suppress(JournalDamaged):
-            journal = Journal.read(path.read_bytes())
-            if journal.lab != head.lab:
-                continue
-            strange = [
-                FoundAction(ActionId(a.action), a.name, a.status, a.position, a.effects)
-                for a in journal.open_attempts()
-                if not _is_requested(log, a.position, a.action, head.position)
-            ]
-            more = knows_more(journal.pruned, journal.pruned_by, head.position, starts)
-            if strange or more:
-                module = ModuleName(path.stem.replace(".", "/", 1))
-                found.append((module, strange, journal.pruned if more else 0))
+    for name, journal in _read_sound(folder):
+        if journal.lab != head.lab:
+            continue
+        unlogged = _list_unlogged(log, journal, head.position)
+        strange = [make_from(FoundAction, each, action=ActionId(each.action)) for each in unlogged]
+        more = knows_more(journal.pruned, journal.pruned_by, head.position, starts)
+        if strange or more:
+            module = ModuleName(name.replace(".", "/", 1))
+            found.append((module, strange, journal.pruned if more else 0))
     return found
 
 
-def _is_requested(log: Log, position: int, action: str, end: int) -> bool:
-    if not 1 <= position <= end:
+def _read_sound(folder: Path) -> Iterator[tuple[str, Memory]]:
+    """The journals in a folder that are not damaged, by ``workcell.module``."""
+    for path in sorted(folder.glob("*.journal")):
+        with contextlib.suppress(JournalDamaged):
+            yield path.stem, read_journal(path.read_bytes())
+
+
+def _list_unlogged(log: Log, journal: Memory, end: int) -> list[Unacknowledged]:
+    """The attempts in a journal whose requests are not in the log."""
+    return [each for each in journal.list_unacknowledged() if not _is_requested(log, each, end)]
+
+
+def _is_requested(log: Log, attempt: Unacknowledged, end: int) -> bool:
+    if not 1 <= attempt.position <= end:
         return False
-    record = next(log.read(position - 1, position), None)
-    return record is not None and getattr(decode_event(record), "action", "") == action
+    record = next(log.read(attempt.position - 1, attempt.position), None)
+    return record is not None and getattr(decode_event(record), "action", "") == attempt.action
 
 
 def _list_starts(log: Log) -> list[tuple[int, int]]:

@@ -101,34 +101,43 @@ def fold_histories(records: Iterable[Record], names: Catalogue) -> dict[str, Lab
 def _add(story: LabwareHistory, event: b.LabwareEvent, record: Record, by: str) -> None:
     at = record.head.recorded_at
     proof = RecordReference(record.head.position, record.hash.hex())
+
+    def stand(places: tuple[str, ...], note: str) -> None:
+        if story.stays:
+            story.stays[-1].until = at
+        story.stays.append(LabwareStay(places, at, by, proof, note=note))
+
+    def change(what: str, value: Any) -> None:
+        story.changes.append(LabwareChange(at, what, value, by, proof))
+
     match event:
         case b.LabwarePlaced():
             origin = f"from the stack {local(event.stack)}" if event.stack else "placed on the bench"
-            _stand(story, (event.station,), at, by, proof, origin)
+            stand((event.station,), origin)
             story.owner = event.owner
-            story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
+            change("owner", owner_name(event.owner))
         case b.LabwareMoved():
-            _stand(story, (event.target,), at, by, proof, "")
+            stand((event.target,), "")
         case b.LabwareObserved():
-            _stand(story, (event.station,), at, by, proof, f"observed by {event.by}")
+            stand((event.station,), f"observed by {event.by}")
         case b.LabwareUncertain():
-            _stand(story, event.places, at, by, proof, event.why)
+            stand(event.places, event.why)
         case b.LabwareRemoved():
             where = f" at {local(event.where)}" if event.where else ""
             story.gone = f"{event.why}{where}"
-            _stand(story, (), at, by, proof, story.gone)
+            stand((), story.gone)
         case b.LabwareChanged():
             story.variables[event.variable] = event.value
-            story.changes.append(LabwareChange(at, event.variable, event.value, by, proof))
+            change(event.variable, event.value)
         case b.BarcodeRead():
             if event.barcode != story.barcode:
-                story.changes.append(LabwareChange(at, "barcode", event.barcode, by, proof))
+                change("barcode", event.barcode)
             story.barcode = event.barcode
         case b.SamplesRegistered():
-            story.changes.append(LabwareChange(at, "samples", event.count, by, proof))
+            change("samples", event.count)
         case b.LabwareHandedOver():
             story.owner = event.owner
-            story.changes.append(LabwareChange(at, "owner", owner_name(event.owner), by, proof))
+            change("owner", owner_name(event.owner))
 
 
 def _take_away(histories: dict[str, LabwareHistory], event: b.BarcodeRead) -> None:
@@ -136,14 +145,6 @@ def _take_away(histories: dict[str, LabwareHistory], event: b.BarcodeRead) -> No
     for story in histories.values():
         if story.barcode == event.barcode and story.id != event.labware and not story.gone:
             story.barcode = ""
-
-
-def _stand(
-    story: LabwareHistory, places: tuple[str, ...], at: int, by: str, proof: RecordReference, note: str
-) -> None:
-    if story.stays:
-        story.stays[-1].until = at
-    story.stays.append(LabwareStay(places, at, by, proof, note=note))
 
 
 def _act(event: ActionRequested, names: Catalogue) -> str:

@@ -1,40 +1,19 @@
-"""The part of a log that every query needs, and how a stored record becomes an event."""
+"""How a stored record becomes an event, and a log a state."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
 from labos.core.envelope import Envelope, Record
-from labos.core.fold import evolve
+from labos.core.fold import fold_rows
 from labos.core.registry import Event, decode
 from labos.core.state import LabState, fold_fingerprint, from_picture
-from labos.core.words import Kept
 from labos.errors import LogDamaged
-from labos.ports import Head, LogQuery
+from labos.ports import Log as Log
 
-Row = tuple[Any, ...]
 VERIFY = "Find the first bad position with: labos verify"
-
-
-class Log(Protocol):
-    """The reading part of an event store."""
-
-    def head(self) -> Head: ...
-
-    def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]: ...
-
-    def replay(self, after: int = 0, upto: int | None = None) -> Iterator[Row]:
-        """(position, type, schema, recorded_at, payload) of each record."""
-
-    def select(self, query: LogQuery) -> Iterator[Record]: ...
-
-    def load_snapshot(self, fingerprint: str) -> tuple[int, bytes, bytes] | None: ...
-
-    def words_of(self, references: Iterable[str]) -> Mapping[str, Kept]:
-        """The words that are stored beside the log for these references."""
 
 
 def decode_event(record: Record) -> Event:
@@ -59,11 +38,10 @@ def fold_to(log: Log, position: int) -> LabState:
     found = log.load_snapshot(fold_fingerprint())
     if found is not None and found[0] <= position:
         state = from_picture(found[2])
-    for row in log.replay(state.position, position):
-        try:
-            evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
-        except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
-            raise _make_unreadable_error(row[0], error) from None
+    try:
+        fold_rows(state, log.replay(state.position, position))
+    except (msgspec.MsgspecError, TypeError, KeyError, ValueError, IndexError) as error:
+        raise _make_unreadable_error(state.position + 1, error) from None
     return state
 
 

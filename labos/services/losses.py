@@ -19,6 +19,7 @@ from labos.services.log import decode_events
 from labos.services.next_touch import Touch, list_next_touches
 from labos.services.standstill import Cause, Standstill
 from labos.services.twh import Meter, ScopeKind, TwhReport
+from labos.services.waits import QUEUED_JUDGED
 
 NO_KERNEL = Cause("error", "no kernel", "", "software")
 """LabOS itself did not run: from the last event before its end to the next start of a kernel."""
@@ -29,9 +30,6 @@ ABOUT_TO_START = Cause("other", "about to start")
 BRIEF_S = 0.1
 """For pauses between events that are shorter (lab seconds: a turn of the kernel and its commit), the whole
 bench is not examined."""
-
-QUEUED_JUDGED = 12
-"""While no run is in progress, the reason of at most so many waiting runs is determined."""
 
 
 class Loss(msgspec.Struct, frozen=True):

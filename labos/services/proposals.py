@@ -9,9 +9,8 @@ from typing import Any
 
 import msgspec
 
-from labos.core.approvals import LastApproval, Proposal
+from labos.core.approvals import Proposal
 from labos.core.ids import CampaignId
-from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
 from labos.errors import LabosError
@@ -51,24 +50,19 @@ def list_differences(log: Log, blobs: BlobReader, state: LabState, proposal: Pro
         campaign = state.campaigns.open.get(CampaignId(proposal.subject))
         was = msgspec.to_builtins(campaign.terms) if campaign is not None else {}
         return [ChangedPart("terms", tuple(compare(was, msgspec.to_builtins(proposal.terms))))]
-    past = state.approvals.past.get(f"{proposal.kind}:{proposal.name}")
+    past = state.approvals.find_last(proposal.kind, proposal.name)
     if past is None:
         return []
     return [ChangedPart(part, _compare_lines(log, blobs, proposal, past, part)) for part in proposal.changed]
 
 
 def _compare_lines(
-    log: Log, blobs: BlobReader, proposal: Proposal, past: LastApproval, part: str
+    log: Log, blobs: BlobReader, proposal: Proposal, past: Proposal, part: str
 ) -> tuple[str, ...]:
     was, now = past.parts.get(part, ""), proposal.parts.get(part, "")
     if part == "payload":
-        old, new = (
-            _find_first(log, past.subject, RunSubmitted),
-            _find_first(log, proposal.subject, RunSubmitted),
-        )
-        if isinstance(old, RunSubmitted) and isinstance(new, RunSubmitted):
-            return tuple(compare(old.payload, new.payload))
-        return ()
+        old, new = _find_payload(log, past.subject), _find_payload(log, proposal.subject)
+        return () if old is None or new is None else tuple(compare(old, new))
     if part == "terms":
         return tuple(compare(msgspec.to_builtins(past.terms), msgspec.to_builtins(proposal.terms)))
     if part == "workflow" or part.startswith("file:"):
@@ -76,9 +70,11 @@ def _compare_lines(
     return ()
 
 
-def _find_first(log: Log, stream: str, kind: type[Event]) -> Event | None:
-    record = next(iter(log.select(LogQuery(streams=(stream,), types=(kind.TYPE,)))), None)
-    return decode_event(record) if record is not None else None
+def _find_payload(log: Log, run: str) -> dict[str, Any] | None:
+    """The payload with which a run was submitted."""
+    record = next(iter(log.select(LogQuery(streams=(run,), types=(RunSubmitted.TYPE,)))), None)
+    event = decode_event(record) if record is not None else None
+    return event.payload if isinstance(event, RunSubmitted) else None
 
 
 def _read_text(blobs: BlobReader, digest: str) -> str | None:

@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 
 from labos.private import replace_file
-from labos.services.doctor import DoctorFinding
+from labos.services.doctor import DoctorFinding, grade
 from labos.services.times import show_time
 
 NOTE = "retention.json"
@@ -44,10 +44,8 @@ def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
         return None
     steps = (("Old segments were moved", found.moved_at), ("unused files removed", found.removed_at))
     result = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
-    if now_ns - min(at for _, at in steps) > LONG_AGO_NS:
-        remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
-        return DoctorFinding("retention", "warning", result, remedy)
-    return DoctorFinding("retention", "ok", result)
+    remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
+    return grade("retention", result, remedy, warning=now_ns - min(at for _, at in steps) > LONG_AGO_NS)
 
 
 def _read(home: Path) -> Retention | None:

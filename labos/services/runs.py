@@ -79,10 +79,10 @@ class RunHistory(msgspec.Struct):
 
 
 class RunBook:
-    """Folds events into the histories of runs. ``keep`` limits it to one run."""
+    """Folds events into the histories of runs."""
 
-    def __init__(self, names: Catalogue, keep: str = "") -> None:
-        self.names, self.keep = names, keep
+    def __init__(self, names: Catalogue) -> None:
+        self.names = names
         self.runs: dict[str, RunHistory] = {}
 
     def add(self, event: Event, head: Envelope) -> None:
@@ -100,8 +100,6 @@ class RunBook:
 
     def _on_submitted(self, event: r.RunSubmitted, at: int) -> None:
         plan = self.names.plan_of(event.run) or self.names.plans.get(event.plan)
-        if self.keep and event.run != self.keep:
-            return
         self.runs[event.run] = make_from(
             RunHistory,
             event,
@@ -129,22 +127,22 @@ def run_histories(log: Log) -> dict[str, RunHistory]:
     return book.runs
 
 
-def run_history(log: Log, run: str, upto: int | None = None) -> RunHistory:
+def run_history(log: Log, run: str) -> RunHistory:
     """One run, read only from its own stream and the stream with its plan, so that the length of the log does
     not matter. Raises NotFound."""
-    own = list(decode_events(log.select(LogQuery(streams=(run,), upto=upto))))
+    own = list(decode_events(log.select(LogQuery(streams=(run,)))))
     names = Catalogue()
     teach(names, own)
     submitted = names.runs.get(run)
     if submitted is None:
         raise NotFound(f"There is no run {run!r} in this log.", remedy="List them: labos runs --all")
     if submitted.plan not in names.plans and submitted.planned_by:
-        query = LogQuery(streams=(submitted.planned_by,), types=("plan",), upto=upto)
+        query = LogQuery(streams=(submitted.planned_by,), types=("plan",))
         teach(names, decode_events(log.select(query)))
     if submitted.plan not in names.plans:
         # For runs that were submitted before `planned_by` was recorded.
-        names = read_catalogue(log, upto)
-    book = RunBook(names, keep=run)
+        names = read_catalogue(log)
+    book = RunBook(names)
     _add_events(book, own)
     return book.runs[run]
 

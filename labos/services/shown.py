@@ -15,8 +15,7 @@ import msgspec
 from labos.core.envelope import Record
 from labos.core.state import rewrite_picture
 from labos.core.words import PREFIX, Kept, list_references, put_into_json, put_into_text
-from labos.ports import Head, LogQuery
-from labos.services.log import Log, Row
+from labos.ports import Head, Log, LogQuery, Row
 
 PAGE = 500
 """The words of so many records are looked up in one query."""

@@ -33,6 +33,11 @@ ENDS: dict[Kind, frozenset[str]] = {
     "experiment": frozenset({ExperimentEnded.TYPE}),
     "campaign": frozenset({CampaignCompleted.TYPE}),
 }
+LISTS: dict[Kind, str] = {
+    "run": "List them: labos runs --all",
+    "experiment": "List them: labos experiments --all",
+    "campaign": "List them: labos campaign list --all",
+}
 AT_ONCE = 500
 """The number of streams in one query to the database."""
 SIGNED = (RunSigned.TYPE, RecordsSigned.TYPE)
@@ -72,14 +77,13 @@ class Signed(msgspec.Struct, frozen=True):
 
 def record_of(log: Log, subject: str, kind: Kind) -> Signed:
     """The record of a run, experiment or campaign that has ended. Raises NotFound, Refused."""
-    found = _kind_of(log, subject)
-    if found != kind:
-        raise NotFound(f"There is no {kind} {subject!r}.", remedy=_name_list_command(kind))
     records = list(log.select(LogQuery(streams=(subject,))))
+    if find_kind_in(records) != kind:
+        raise NotFound(f"There is no {kind} {subject!r}.", remedy=LISTS[kind])
     if ENDS[kind].isdisjoint(record.head.type for record in records):
         raise Refused(
             f"The {kind} {subject} has not ended: its record is not complete.",
-            remedy=f"Wait for its end: labos {_name_show_command(kind)} {subject}",
+            remedy=f"Wait for its end: labos {'campaign show' if kind == 'campaign' else 'runs'} {subject}",
         )
     return _digest_subject(log, subject, kind)
 
@@ -93,7 +97,7 @@ def list_runs(log: Log, subject: str, upto: int | None = None) -> tuple[str, ...
 
 def find_kind(log: Log, subject: str) -> Kind:
     """The kind of the record that this name stands for. Raises NotFound."""
-    found = _kind_of(log, subject)
+    found = find_kind_in(log.select(LogQuery(streams=(subject,))))
     if found is None:
         raise NotFound(
             f"There is no run, experiment or campaign {subject!r}.", remedy="List runs: labos runs --all"
@@ -187,21 +191,6 @@ def _read_records(log: Log, streams: tuple[str, ...]) -> list[Record]:
     return sorted(found, key=lambda record: record.head.position)
 
 
-def _kind_of(log: Log, subject: str) -> Kind | None:
+def find_kind_in(stream: Iterable[Record]) -> Kind | None:
     """The kind of a stream, by its first event."""
-    for record in log.select(LogQuery(streams=(subject,))):
-        if (kind := BEGINS.get(record.head.type)) is not None:
-            return kind
-    return None
-
-
-def _name_list_command(kind: Kind) -> str:
-    return {
-        "run": "List them: labos runs --all",
-        "experiment": "List them: labos experiments --all",
-        "campaign": "List them: labos campaign list --all",
-    }[kind]
-
-
-def _name_show_command(kind: Kind) -> str:
-    return "campaign show" if kind == "campaign" else "runs"
+    return next((BEGINS[record.head.type] for record in stream if record.head.type in BEGINS), None)

@@ -393,7 +393,3 @@ class Standstill:
                 runs |= dict.fromkeys(of, True)
         nobodys = (item for owner, item in items.items() if split_key(owner)[0] not in ("run", "experiment"))
         return tuple(runs), next(nobodys, None)
-
-
-def cell_of(state: LabState, run: RunState) -> str:
-    return state.runs.plan_of(run).workcell

@@ -109,7 +109,8 @@ class _Usage:
         if not isinstance(event, a.ActionEvent) or isinstance(event, a.ActionEvidence):
             return
         self.first, self.last = self.first or at, at
-        module, run = self._find_uses(event)
+        module = self.modules.setdefault(event.module, _Use())
+        run = self.runs.setdefault(event.run, _Use())
         match event:
             case a.ActionRequested():
                 flight = _Flight(event.run, event.module, at, event.exclusive)
@@ -136,10 +137,6 @@ class _Usage:
             if flight.exclusive:
                 self.modules.setdefault(flight.module, _Use()).busy_ns += at - flight.since
             self.runs.setdefault(flight.run, _Use()).busy_ns += at - flight.since
-
-    def _find_uses(self, event: a.ActionEvent) -> tuple[_Use, _Use]:
-        module = self.modules.setdefault(event.module, _Use())
-        return module, self.runs.setdefault(event.run, _Use())
 
 
 def summarise(records: Iterable[Record], now: int | None = None) -> Summary:

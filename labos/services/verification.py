@@ -15,16 +15,15 @@ from typing import Any, Protocol
 
 import msgspec
 
-from labos.core.fold import evolve
+from labos.core.fold import fold_rows
 from labos.core.labware import SamplesRegistered
 from labos.core.modules import ModuleCalibrated
 from labos.core.plans import PlanRecorded
-from labos.core.registry import decode
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, encode_picture, fold_fingerprint
 from labos.errors import JournalDamaged, LabosError, LogDamaged, NotFound
-from labos.node.journal import Journal
-from labos.services.log import Log
+from labos.node.journal import Memory, read_journal
+from labos.ports import BlobReader, Log, StoredSnapshot
 
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
 _RESULT = frozenset({"file", "sha256", "bytes"})
@@ -42,27 +41,6 @@ class VerifiedPart(msgspec.Struct, frozen=True):
     positions: tuple[int, ...] = ()
 
 
-class Snapshot(Protocol):
-    """A row of the table of snapshots."""
-
-    @property
-    def position(self) -> int: ...
-    @property
-    def hash(self) -> bytes: ...
-    @property
-    def fingerprint(self) -> str: ...
-    @property
-    def data(self) -> bytes: ...
-    @property
-    def genuine(self) -> bool: ...
-    @property
-    def tampered(self) -> bool: ...
-    @property
-    def fault(self) -> str: ...
-    @property
-    def on_log(self) -> bytes | None: ...
-
-
 class VerifiableStore(Log, Protocol):
     """An event store, for reading."""
 
@@ -70,11 +48,10 @@ class VerifiableStore(Log, Protocol):
 
     @property
     def known_position(self) -> int: ...
-    def read_snapshot_row(self) -> Snapshot | None: ...
+    def read_snapshot_row(self) -> StoredSnapshot | None: ...
 
 
-class Blobs(Protocol):
-    def get(self, digest: str) -> bytes: ...
+class Blobs(BlobReader, Protocol):
     def names(self) -> Iterator[str]: ...
 
 
@@ -104,8 +81,7 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
         result = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
         return VerifiedPart("snapshot", 1, result)
     state = LabState()
-    for row in store.replay(0, found.position):
-        evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
+    fold_rows(state, store.replay(0, found.position))
     if encode_picture(state) != found.data:
         fault = f"The sealed snapshot of position {found.position} differs from the state by the log."
         return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
@@ -119,7 +95,7 @@ def check_end(store: VerifiableStore) -> VerifiedPart:
     known, position = store.known_position, store.head().position
     if not known:
         return VerifiedPart("end", 0, "There is no record of how long the log once was.")
-    if known and not position:
+    if not position:
         fault = (
             f"The log is empty, but the log of this lab's folder once ended at {known}: it is lost, "
             "or this is the wrong database."
@@ -169,14 +145,14 @@ def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     return sorted(stored - named.keys() - mentioned)
 
 
-def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Journal]]:
+def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Memory]]:
     """Whether the nodes' journals can be read, with their checksums; also returns the journals that can."""
-    found: dict[str, Journal] = {}
+    found: dict[str, Memory] = {}
     faults = []
     files = sorted(folder.glob("*.journal"))
     for path in files:
         try:
-            found[path.stem] = Journal.read(path.read_bytes())
+            found[path.stem] = read_journal(path.read_bytes())
         except (JournalDamaged, OSError) as error:
             why = error.message if isinstance(error, LabosError) else str(error)
             faults.append(f"The journal {path} is damaged: {why}")

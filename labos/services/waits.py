@@ -19,7 +19,6 @@ from labos.core.rules import NODE_AWAY_S
 from labos.core.runs import IN_FLIGHT, UNKNOWN, RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.obstacle import explain_wait
 from labos.planning.scheduler import Scheduler, list_ready_steps
 
@@ -90,12 +89,12 @@ def list_reasons(
     scheduler = scheduler or Scheduler()
 
     def words(wait: Wait) -> str:
-        return explain_wait(scheduler.safety, state, run, wait) if causes else describe_wait(wait)
+        return explain_wait(scheduler.safety, state, run, wait) if causes else wait.reason.sentence
 
     return [
         *_list_absent_nodes(state, run),
         *(
-            WaitReason(step, words(wait), wait.blocked, find_remedy(wait))
+            WaitReason(step, words(wait), wait.blocked, wait.reason.remedy)
             for step, wait in (
                 (step, _name_unknown(state, wait)) for step, wait in scheduler.list_waits(state, run, now)
             )
@@ -138,4 +137,4 @@ def _list_absent_nodes(state: LabState, run: RunState) -> Iterable[WaitReason]:
         if module is not None and module.status == ModuleStatus.GONE:
             wait = Wait(ModuleDown(module.spec.name, "GONE", module.error))
             asked = f"; {NODE_AWAY_S:g} s after it went a person is asked how {steps[index].action!r} ended"
-            yield WaitReason(index, describe_wait(wait) + asked, True, find_remedy(wait))
+            yield WaitReason(index, wait.reason.sentence + asked, True, wait.reason.remedy)

@@ -3,28 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
-from labos.core.erasure import WordsErased, list_references_in_words
-from labos.core.registry import decode
-from labos.core.words import Kept
-from labos.services.log import Log
+from labos.core.erasure import list_erased, list_references_in_words
+from labos.ports import Log, StoredWords
 from labos.services.verification import VerifiedPart
-
-
-class StoredWords(Protocol):
-    """Words beside the log, and the position of the first event that refers to them."""
-
-    @property
-    def words(self) -> Kept: ...
-    @property
-    def position(self) -> int: ...
 
 
 class WordsStore(Log, Protocol):
     """A log with words beside it."""
 
-    def all_words(self) -> Iterator[Any]: ...
+    def all_words(self) -> Iterator[StoredWords]: ...
     def erasures(self) -> Mapping[str, int]: ...
 
 
@@ -36,7 +25,6 @@ def check_words(store: WordsStore) -> VerifiedPart:
     elsewhere = store.erasures()
     found: list[tuple[int, str]] = []
     whole = gone = apart = 0
-    standing: StoredWords
     for standing in store.all_words():
         name, position = standing.words.reference, standing.position
         named.pop(name, None)
@@ -71,10 +59,7 @@ def _count_references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
     named: dict[str, int] = {}
     erased: dict[str, int] = {}
     for position, kind, schema, _, payload in log.replay():
-        if kind == WordsErased.TYPE:
-            event = decode(kind, schema, payload)
-            assert isinstance(event, WordsErased)
-            erased.update((reference, position) for reference in event.references())
+        erased.update((reference, position) for reference in list_erased(kind, schema, payload))
         for reference in list_references_in_words(kind, payload):
             named.setdefault(reference, position)
     return named, erased

@@ -78,7 +78,7 @@ def describe_choices(choices: Mapping[str, Sequence[str]]) -> list[str]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, names in choices.items():
         groups.setdefault(tuple(names), []).append(repr(key))
-    return [f"By {_join_names(names, 'or')}: {', '.join(keys)}." for names, keys in groups.items()]
+    return [f"By {_join_names(names)}: {', '.join(keys)}." for names, keys in groups.items()]
 
 
 def expand_lists(file: WorkflowFile) -> list[WorkflowFile]:
@@ -102,8 +102,8 @@ def is_left_open(entry: StepEntry) -> bool:
     )
 
 
-def _join_names(names: Sequence[str], word: str) -> str:
-    return f" {word} ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+def _join_names(names: Sequence[str]) -> str:
+    return " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def _split_names(module: str) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.ids import ModuleName, StationName, local
+from labos.core.ids import ModuleName, StationName, local, split_place, split_written_place
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.core.structs import make_from
 from labos.errors import SpecError
@@ -71,7 +71,7 @@ class _StationCompiler:
         """Stations of the file that are in no driver's description."""
         known = self.make_index()
         for place, entry in self.file.stations.items():
-            owner, _, last = place.rpartition(".")
+            owner, last = split_place(place)
             if known.find_known(place):
                 continue
             if owner in self.modules and owner not in self.drivers:
@@ -207,7 +207,7 @@ class _StationCompiler:
         )
 
     def _add(self, place: str, kind: StationKind | None) -> StationSpec:
-        owner, _, last = place.rpartition(".")
+        owner, last = split_place(place)
         module = self._name_module(owner) if owner in self.drivers else ModuleName("")
         if kind is None:
             kind = "waste" if not module and last.lower() in WASTE else "nest"
@@ -224,7 +224,7 @@ class _StationCompiler:
         try:
             return self.make_index().find(place, owner if owner in self.drivers else "")
         except SpecError as error:
-            module = place.partition(".")[0]
+            module, _ = split_written_place(place)
             if module in self.modules and module not in self.drivers:
                 return None  # the module is not active, or has no driver
             if module not in ("wc", self.file.name):

@@ -12,7 +12,7 @@ from typing import Any
 
 from labos.core.arguments import list_names
 from labos.core.effects import Unlid
-from labos.core.ids import local
+from labos.core.ids import local, split_place
 from labos.core.model import ActionSpec, Description
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
 from labos.spec.interfaces import is_configured
@@ -304,7 +304,7 @@ def _declare(
 ) -> str:
     """Add a place without a description, under the module with whose name it begins. Returns its name."""
     bare = strip_place(text)
-    owner, _, last = bare.rpartition(".")
+    owner, last = split_place(bare)
     owner = next((entry.name for entry in file.modules if entry.name.lower() == owner.lower()), owner)
     aliases: list[str] = []
     if not owner:

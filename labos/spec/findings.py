@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Literal
+from typing import Literal, TypedDict, Unpack
 
 import msgspec
 
@@ -59,6 +59,15 @@ class SpecErrors(BadInput):
         super().__init__("\n".join(str(error) for error in self.errors))
 
 
+class FindingFields(TypedDict, total=False):
+    """What else may be said of a finding."""
+
+    field: str
+    remedy: str
+    file: str
+    assumed: Assumed
+
+
 class FindingList:
     """Collects findings while a file is read."""
 
@@ -68,22 +77,11 @@ class FindingList:
         self._known: set[Finding] = set()
         self._count: dict[Severity, int] = {"error": 0, "warning": 0}
 
-    def error(
-        self, message: str, place: Place = NOWHERE, *, field: str = "", remedy: str = "", file: str = ""
-    ) -> None:
-        self._add("error", message, place, field, remedy, file)
+    def error(self, message: str, place: Place = NOWHERE, **more: Unpack[FindingFields]) -> None:
+        self._add("error", message, place, **more)
 
-    def add_warning(
-        self,
-        message: str,
-        place: Place = NOWHERE,
-        *,
-        field: str = "",
-        remedy: str = "",
-        file: str = "",
-        assumed: Assumed = "",
-    ) -> None:
-        self._add("warning", message, place, field, remedy, file, assumed)
+    def add_warning(self, message: str, place: Place = NOWHERE, **more: Unpack[FindingFields]) -> None:
+        self._add("warning", message, place, **more)
 
     def take(self, other: FindingList) -> None:
         """Add the findings of another file."""
@@ -95,15 +93,14 @@ class FindingList:
         severity: Severity,
         message: str,
         place: Place,
-        field: str,
-        remedy: str,
-        file: str,
+        field: str = "",
+        remedy: str = "",
+        file: str = "",
         assumed: Assumed = "",
     ) -> None:
         message = message if len(message) <= LONGEST else f"{message[:LONGEST]} …"
         where = (file or self.file, place.line, place.column, field[-LONGEST:])
-        finding = Finding(severity, message, *where, remedy[:LONGEST], assumed)
-        self.keep(finding)
+        self.keep(Finding(severity, message, *where, remedy[:LONGEST], assumed))
 
     def keep(self, finding: Finding) -> None:
         """Add a finding unchanged."""

@@ -13,13 +13,12 @@ from typing import Any
 
 from labos.core.expressions import ExpressionError, list_names, parse_expression
 from labos.errors import SpecError
-from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
 from labos.spec.findings import FindingList, suggest_name
 from labos.spec.models import RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import list_keys
 from labos.spec.source import Source, parse
-from labos.spec.validation import validate
+from labos.spec.uses import read_workflow
 
 MOST_FILES = 100
 """The most files, used directly or indirectly by a workflow, that are searched."""
@@ -139,9 +138,8 @@ def _read(name: str, finder: FileFinder) -> tuple[WorkflowFile, list[Source]]:
     if content is None:
         raise _TakesAll
     try:
-        source, report = parse(content, name, last_wins=True), FindingList(name)
-        form, _ = convert_workflow(source, report)
-        file = validate(WorkflowFile, form, report)
+        source = parse(content, name, last_wins=True)
+        form, file = read_workflow(source)
     except SpecError:
         raise _TakesAll from None
     if file is None:

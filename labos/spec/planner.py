@@ -58,7 +58,7 @@ from labos.spec.steps import Steps
 from labos.spec.tables import find_counter
 
 
-class Given(msgspec.Struct):
+class CompileInputs(msgspec.Struct):
     """The data for compiling a workflow, besides the workflow itself; the options are those of
     ``compile_workflow``."""
 
@@ -77,7 +77,7 @@ class Given(msgspec.Struct):
 class StepPlanner:
     """Makes a plan from one workflow."""
 
-    def __init__(self, file: WorkflowFile, layout: Layout, remarks: Remarks, given: Given) -> None:
+    def __init__(self, file: WorkflowFile, layout: Layout, remarks: Remarks, given: CompileInputs) -> None:
         self.file, self.layout, self.remarks, self.given = file, layout, remarks, given
         self.workcell = workcell = given.workcell
         self.stations = Stations(workcell.name, workcell.stations)

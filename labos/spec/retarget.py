@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from labos.core.arguments import list_names
-from labos.core.ids import local
+from labos.core.ids import local, split_written_place
 from labos.core.model import Description, Workcell
 from labos.errors import BadInput
 from labos.spec.about import find_description
@@ -121,8 +121,8 @@ def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str,
 def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[str, str]]:
     values: list[Any] = [entry.args, entry.payload]
     for text in iterate_texts([value for value in values if value]):
-        owner, dot, station = text.partition(".")
-        if dot and owner in modules and re.fullmatch(r"[\w.]+", station):
+        owner, station = split_written_place(text)
+        if owner in modules and re.fullmatch(r"[\w.]+", station):
             yield owner, station
 
 

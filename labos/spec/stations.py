@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from labos.core.ids import ModuleName, StationName, local
+from labos.core.ids import ModuleName, StationName, local, split_place
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
 from labos.spec.findings import suggest_name
@@ -34,7 +34,7 @@ class Stations:
             if station.hotel:
                 continue  # a shelf has only its full name
             written = local(station.name)
-            owner, _, last = written.rpartition(".")
+            owner, last = split_place(written)
             if owner:
                 owned.setdefault(owner, []).append(station.name)
             for alias in station.aliases:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import heapq
-
 from msgspec.structs import replace
 
+from labos.core.branches import list_all_before, sort_by_predecessors
 from labos.core.model import MAIN, Window
 from labos.errors import SpecError
 from labos.spec.findings import suggest_name
@@ -42,31 +41,11 @@ class Steps:
 
     def list_before(self, index: int) -> set[int]:
         """All steps that are done before this one can start."""
-        seen: set[int] = set()
-        open_ = list(self.after[index])
-        while open_:
-            step = open_.pop()
-            if step not in seen:
-                seen.add(step)
-                open_ += self.after[step]
-        return seen
+        return list_all_before(self.after.__getitem__, index)
 
     def sort_steps(self) -> list[int]:
         """Step indices in an order in which they can run; empty if some wait for each other in a cycle."""
-        waiting = [len(after) for after in self.after]
-        followers: list[list[int]] = [[] for _ in self.after]
-        for index, after in enumerate(self.after):
-            for step in after:
-                followers[step].append(index)
-        ready = [index for index, count in enumerate(waiting) if not count]
-        order: list[int] = []
-        while ready:
-            step = heapq.heappop(ready)
-            order.append(step)
-            for follower in followers[step]:
-                waiting[follower] -= 1
-                if not waiting[follower]:
-                    heapq.heappush(ready, follower)
+        order = sort_by_predecessors(dict(enumerate(self.after)))
         return order if len(order) == len(self.after) else []
 
     def is_chain(self) -> bool:

@@ -84,7 +84,7 @@ def sort_workflows_by_workcell(sources: Sequence[Source]) -> dict[str, list[Sour
         named = [
             cell
             for cell in cells
-            if file.workcell and _find_last_part(file.workcell) in (_find_last_part(cell), _find_stem(cell))
+            if file.workcell and PurePath(file.workcell).name in (PurePath(cell).name, PurePath(cell).stem)
         ]
         used = {e.module for one in expand_lists(file) for _, e in one.iterate_entries() if e.module}
         most = max((len(used & cells[cell]) for cell in named or cells), default=0)
@@ -104,14 +104,6 @@ def _list_modules(source: Source) -> set[str]:
         for module in form.data.get("modules", ())
         if isinstance(module, dict) and module.get("active") is not False
     }
-
-
-def _find_last_part(path: str) -> str:
-    return PurePath(path).name
-
-
-def _find_stem(path: str) -> str:
-    return PurePath(path).stem
 
 
 def _count_shared(one: str, other: str) -> int:

@@ -24,7 +24,7 @@ from labos.spec.layout import Origin, UnrolledRemarks
 from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
-from labos.spec.planner import Given, StepPlanner
+from labos.spec.planner import CompileInputs, StepPlanner
 from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
@@ -103,7 +103,7 @@ def compile_workflow(
     bound = bind_modules(file, workcell, Remarks(form, report))
     report.raise_if_failed()
     known = (source, form, dialect != "labos", payload, workcell, descriptions, finder)
-    given = Given(*known, simulate, bench, left_out or {})
+    given = CompileInputs(*known, simulate, bench, left_out or {})
     found: list[Compiled] = []
     for one in bound:
         try:
@@ -139,7 +139,7 @@ def _refuse_unlike(found: Sequence[Compiled], form: Source, report: FindingList)
         report.raise_if_failed()
 
 
-def _compile(file: WorkflowFile, given: Given, report: FindingList) -> Compiled:
+def _compile(file: WorkflowFile, given: CompileInputs, report: FindingList) -> Compiled:
     """Compile a workflow in which each step has one module. Raises SpecErrors."""
     payload, workcell, finder, form = given.payload, given.workcell, given.finder, given.form
     unroller = Unroller(report, finder, Defaults(workcell), Carriers(workcell, given.descriptions))

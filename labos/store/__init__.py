@@ -1,28 +1,27 @@
 """The event store: the log, its snapshots and its blobs, on SQLite or PostgreSQL."""
 
-from labos.private import create_file, make_folder, tighten
 from labos.store._accounts import SqlAccounts, open_accounts
 from labos.store._accounts_copy import AccountsCopy, copy_accounts, put_accounts_back, read_accounts_copy
 from labos.store._archive import move_old_segments
 from labos.store._backend import Holder
-from labos.store._backup import Backup, Segment, backup, key_of, read_backup, records_of, verify_backup
+from labos.store._backup import backup, key_of, read_backup, records_of, verify_backup
 from labos.store._blobs import FolderBlobs
-from labos.store._detached import Detached, verify_detached
-from labos.store._erasures import ERASURES, Erased, add_erasures, read_erasures
+from labos.store._detached import verify_detached
+from labos.store._erasures import ERASURES, read_erasures
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
-from labos.store._home import HomeFiles, KnownEnd, forget_end
+from labos.store._home import forget_end
 from labos.store._lease import (
     find_database_file,
     find_lease_holder,
     find_silent_holder,
+    is_replica,
     measure_database,
     show_url,
 )
 from labos.store._migrate import (
     DatabaseStatus,
     find_migrations_folder,
-    is_replica,
     migrate,
     read_database_status,
 )
@@ -30,37 +29,26 @@ from labos.store._objects import Blobs, ObjectBlobs, open_blobs
 from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
-from labos.store._segment import check_chain, encode_record, read_segment, write_segment
+from labos.store._segment import encode_record, read_segment, write_segment
 from labos.store._url import display_name, find_sqlite_path, parse_url
 from labos.store._verify import Damage, Progress, find_first_damage
-from labos.store._words import StoredWords
 from labos.store._words_copy import read_words_copy
 
 __all__ = [
     "ERASURES",
     "AccountsCopy",
-    "Backup",
     "Blobs",
     "Damage",
     "DatabaseStatus",
-    "Detached",
-    "Erased",
     "FolderBlobs",
     "Holder",
-    "HomeFiles",
-    "KnownEnd",
     "ObjectBlobs",
     "Progress",
-    "Segment",
     "SqlAccounts",
     "SqlEventStore",
-    "StoredWords",
     "TranslatedErrors",
-    "add_erasures",
     "backup",
-    "check_chain",
     "copy_accounts",
-    "create_file",
     "display_name",
     "encode_record",
     "find_database_file",
@@ -74,7 +62,6 @@ __all__ = [
     "is_replica",
     "key_of",
     "leap_epoch",
-    "make_folder",
     "measure_database",
     "migrate",
     "move_old_segments",
@@ -95,7 +82,6 @@ __all__ = [
     "restore_log",
     "scrub_words",
     "show_url",
-    "tighten",
     "verify_backup",
     "verify_detached",
     "write_segment",

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import structlog
-from sqlalchemy import Connection, Engine, Table, delete, event, insert, select, update
+from sqlalchemy import Connection, Delete, Engine, Executable, Insert, Table, delete, insert, select, update
 from sqlalchemy.engine import URL
 from sqlalchemy.exc import SQLAlchemyError
 
@@ -56,14 +56,11 @@ class SqlAccounts:
         return {row.user_id: Person(row.user_id, row.name, row.mail) for row in rows}
 
     def set_person(self, person: Person) -> None:
-        with self.change() as connection:
-            _replace(connection, person_table, person.user, name=person.name, mail=person.mail)
+        self._change(*_replace(person_table, person.user, name=person.name, mail=person.mail))
 
     def erase(self, user: str) -> None:
         """Erase the personal data of a user, and all passwords, tokens and sessions."""
-        with self.change() as connection:
-            for table in _OF_A_USER:
-                connection.execute(delete(table).where(table.c.user_id == user))
+        self._change(*(delete(table).where(table.c.user_id == user) for table in _OF_A_USER))
         if self._writing.dialect.name == "sqlite":
             # Deleted bytes are overwritten (secure_delete), but the write-ahead log still has older pages.
             with suppress(SQLAlchemyError), self._writing.connect() as connection:
@@ -78,14 +75,12 @@ class SqlAccounts:
         return str(self._value(select(password_table.c.hash).where(password_table.c.user_id == user)) or "")
 
     def set_password(self, user: str, hash_: str, now: int) -> None:
-        with self.change() as connection:
-            _replace(connection, password_table, user, hash=hash_, changed_at=now)
+        self._change(*_replace(password_table, user, hash=hash_, changed_at=now))
 
     # -- tokens --------------------------------------------------------------------------------
 
     def add_token(self, token: Token, digest: bytes) -> None:
-        with self.change() as connection:
-            _insert(connection, token_table, token, digest)
+        self._change(_insert(token_table, token, digest))
 
     def token(self, digest: bytes) -> Token | None:
         return next(iter(self._tokens(token_table.c.digest == digest)), None)
@@ -101,24 +96,18 @@ class SqlAccounts:
         return [make_from(Token, row, user=row.user_id) for row in rows]
 
     def use_token(self, id_: str, now: int) -> None:
-        with self.change() as connection:
-            connection.execute(update(token_table).where(token_table.c.id == id_).values(used_at=now))
+        self._change(update(token_table).where(token_table.c.id == id_).values(used_at=now))
 
     def revoke_token(self, id_: str, now: int) -> None:
-        with self.change() as connection:
-            connection.execute(
-                update(token_table)
-                .where(token_table.c.id == id_, token_table.c.revoked_at == 0)
-                .values(revoked_at=now)
-            )
+        valid = (token_table.c.id == id_, token_table.c.revoked_at == 0)
+        self._change(update(token_table).where(*valid).values(revoked_at=now))
 
     # -- sessions ------------------------------------------------------------------------------
 
     def add_session(self, session: Session, digest: bytes) -> None:
         """Sessions that have ended are deleted here too."""
-        with self.change() as connection:
-            connection.execute(delete(session_table).where(session_table.c.expires_at <= session.created_at))
-            _insert(connection, session_table, session, digest)
+        ended = session_table.c.expires_at <= session.created_at
+        self._change(delete(session_table).where(ended), _insert(session_table, session, digest))
 
     def session(self, digest: bytes) -> Session | None:
         with self.read() as connection:
@@ -126,12 +115,10 @@ class SqlAccounts:
         return None if row is None else make_from(Session, row, user=row.user_id)
 
     def end_session(self, digest: bytes) -> None:
-        with self.change() as connection:
-            connection.execute(delete(session_table).where(session_table.c.digest == digest))
+        self._change(delete(session_table).where(session_table.c.digest == digest))
 
     def end_sessions(self, user: str) -> None:
-        with self.change() as connection:
-            connection.execute(delete(session_table).where(session_table.c.user_id == user))
+        self._change(delete(session_table).where(session_table.c.user_id == user))
 
     # -- who an identity provider means ----------------------------------------------------------
 
@@ -143,23 +130,30 @@ class SqlAccounts:
 
     def link(self, issuer: str, subject: str, user: str) -> None:
         table = identity_table.c
+        self._change(
+            delete(identity_table).where(table.issuer == issuer, table.subject == subject),
+            insert(identity_table).values(issuer=issuer, subject=subject, user_id=user),
+        )
+
+    def _change(self, *statements: Executable) -> None:
+        """Carry out statements, all or none."""
         with self.change() as connection:
-            connection.execute(delete(identity_table).where(table.issuer == issuer, table.subject == subject))
-            connection.execute(insert(identity_table).values(issuer=issuer, subject=subject, user_id=user))
+            for statement in statements:
+                connection.execute(statement)
 
     def _value(self, statement: Any) -> Any:
         with self.read() as connection:
             return connection.execute(statement).scalar()
 
 
-def _insert(connection: Connection, table: Table, of_a_user: Token | Session, digest: bytes) -> None:
+def _insert(table: Table, of_a_user: Token | Session, digest: bytes) -> Insert:
     fields = msgspec.structs.asdict(of_a_user)
-    connection.execute(insert(table).values(digest=digest, user_id=fields.pop("user"), **fields))
+    return insert(table).values(digest=digest, user_id=fields.pop("user"), **fields)
 
 
-def _replace(connection: Connection, table: Table, user: str, **values: Any) -> None:
-    connection.execute(delete(table).where(table.c.user_id == user))
-    connection.execute(insert(table).values(user_id=user, **values))
+def _replace(table: Table, user: str, **values: Any) -> tuple[Delete, Insert]:
+    """The statements that replace the row of a user."""
+    return delete(table).where(table.c.user_id == user), insert(table).values(user_id=user, **values)
 
 
 def open_accounts(url: str) -> SqlAccounts:
@@ -173,10 +167,5 @@ def open_accounts(url: str) -> SqlAccounts:
         return SqlAccounts(parsed, engine, engine)
     from labos.store._sqlite import make_reading_engine, make_writing_engine
 
-    writing = make_writing_engine(find_sqlite_path(parsed))
-
-    @event.listens_for(writing, "connect")
-    def overwrite(connection: Any, record: object) -> None:
-        connection.execute("PRAGMA secure_delete = ON")
-
-    return SqlAccounts(parsed, make_reading_engine(find_sqlite_path(parsed)), writing)
+    path = find_sqlite_path(parsed)
+    return SqlAccounts(parsed, make_reading_engine(path), make_writing_engine(path))

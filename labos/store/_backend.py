@@ -8,10 +8,8 @@ from typing import Any, Protocol
 import msgspec
 from sqlalchemy import ColumnElement, Connection, Engine, select
 
-from labos.ports import Head
+from labos.ports import Head, Row
 from labos.store._tables import head
-
-Row = tuple[Any, ...]
 
 
 class WordChanges(msgspec.Struct, frozen=True):

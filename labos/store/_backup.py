@@ -16,8 +16,8 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Record
-from labos.core.fold import evolve
+from labos.core.envelope import GENESIS, Record, check_chain
+from labos.core.fold import evolve, fold_rows
 from labos.core.registry import decode
 from labos.core.seals import add_seal, check_seal
 from labos.core.state import LabState, fold_fingerprint, from_picture, hash_state
@@ -26,7 +26,7 @@ from labos.private import make_folder, remove_leftovers, replace_file, tighten
 from labos.store._blobs import FolderBlobs
 from labos.store._event_store import SqlEventStore
 from labos.store._objects import Blobs
-from labos.store._segment import check_chain, digest_file, read_segment, write_segment
+from labos.store._segment import digest_file, read_segment, write_segment
 from labos.store._words_copy import WordsExpected, copy_words
 
 FORMAT = 1
@@ -102,11 +102,13 @@ def backup(
     if head.position > done:
         before = bytes.fromhex(known.hash) if known else GENESIS
         name = f"log-{done + 1:09d}-{head.position:09d}.jsonl.gz"
-        last, digest = _write(folder / name, check_chain(store.read(done, head.position), before, done))
-        if last.head.position != head.position:
+        records = check_chain(store.read(done, head.position), before, done)
+        digest, last = write_segment(folder / name, records)
+        if last is None or last.head.position != head.position:
+            ended = last.head.position if last is not None else done
             raise LogDamaged(
-                f"The log ends at {last.head.position}, but its head says {head.position}.",
-                position=last.head.position + 1,
+                f"The log ends at {ended}, but its head says {head.position}.",
+                position=ended + 1,
                 remedy="Find the first bad position with: labos verify",
             )
         segment = Segment(
@@ -274,25 +276,12 @@ def _refuse_other(known: Backup, store: SqlEventStore, lab: str, folder: Path) -
         )
 
 
-def _write(path: Path, records: Iterator[Record]) -> tuple[Record, str]:
-    last: list[Record] = []
-
-    def keep_last() -> Iterator[Record]:
-        for record in records:
-            last[:] = [record]
-            yield record
-
-    digest = write_segment(path, keep_last())
-    return last[0], digest
-
-
 def _fold_records(store: SqlEventStore, position: int) -> LabState:
     state = LabState()
     found = store.load_snapshot(fold_fingerprint())
     if found is not None and found[0] <= position:
         state = from_picture(found[2])
-    for row in store.replay(state.position, position):
-        evolve(state, decode(row[1], row[2], row[4]), row[0], row[3])
+    fold_rows(state, store.replay(state.position, position))
     return state
 
 

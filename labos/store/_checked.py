@@ -11,14 +11,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Sequence
 from operator import itemgetter
-from typing import Any
 
 import msgspec
 
 from labos.core.envelope import decode_folded
 from labos.errors import LogDamaged
-
-Row = tuple[Any, ...]
+from labos.ports import Row
 
 COLUMNS = 'position, type, "schema", recorded_at, payload, envelope, hash'
 REMEDY = (

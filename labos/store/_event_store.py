@@ -15,8 +15,8 @@ from sqlalchemy.engine import URL
 from labos.core.envelope import Record
 from labos.core.ids import LabId
 from labos.errors import BadInput, Fenced, Refused, StoreError, StoreUnavailable
-from labos.ports import Head
-from labos.store._backend import Backend, Holder, Row, WordChanges, find_holder
+from labos.ports import Head, Row
+from labos.store._backend import Backend, Holder, WordChanges, find_holder
 from labos.store._home import HomeFiles
 from labos.store._reader import HASH, LogReader
 from labos.store._tables import head, snapshot
@@ -167,13 +167,10 @@ class SqlEventStore(LogReader):
 
     def note_erasures(self) -> None:
         """Note in the lab's folder the erasures that are in this database. Raises StoreUnavailable."""
-        self._files.note_erasures(self._lab_id(), self._find_erased_here())
-
-    def _find_erased_here(self) -> dict[str, int]:
-        """The erasures in this database that are not noted in the lab's folder."""
         known = self.erasures()
         with self._door, self._backend.reading.connect() as connection:
-            return {name: at for name, at in read_erased(connection).items() if name not in known}
+            found = {name: at for name, at in read_erased(connection).items() if name not in known}
+        self._files.note_erasures(self._lab_id(), found)
 
     def erasures(self) -> dict[str, int]:
         """The erased words of this lab according to its folder, also of a newer copy of this log: references,

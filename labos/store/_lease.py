@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sqlalchemy import select, text
+from sqlalchemy import text
 
 from labos.errors import StoreError
 from labos.store._backend import find_holder
 from labos.store._open import use_backend
-from labos.store._tables import head
 from labos.store._url import find_sqlite_path, parse_url
 
 
@@ -23,14 +22,11 @@ def find_lease_holder(url: str) -> str:
     if parsed.get_backend_name() == "sqlite" and not find_sqlite_path(parsed).is_file():
         return ""
     try:
-        with use_backend(parsed) as backend, backend.reading.connect() as connection:
-            lease = select(head.c.lease_owner, head.c.epoch).where(head.c.lease_until > backend.now_ms)
-            row = connection.execute(lease).first()
-            if row is None or not backend.is_locked(connection, row.epoch):
-                return ""
-            return str(row.lease_owner) or "kernel"
+        with use_backend(parsed) as backend:
+            found = find_holder(backend)
     except StoreError:
         return ""
+    return found.owner or "kernel" if found.locked else ""
 
 
 def find_silent_holder(url: str) -> str:
@@ -49,6 +45,15 @@ def measure_database(url: str) -> int:
         return sum(part.stat().st_size for part in files if part.is_file())
     with use_backend(parse_url(url)) as backend, backend.reading.connect() as connection:
         return int(connection.execute(text("SELECT pg_database_size(current_database())")).scalar_one())
+
+
+def is_replica(url: str) -> bool:
+    """Whether a database is a replica of another one, so that it cannot be written. Raises
+    StoreUnavailable."""
+    if find_database_file(url) is not None:
+        return False
+    with use_backend(parse_url(url)) as backend, backend.reading.connect() as connection:
+        return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
 
 
 def find_database_file(url: str) -> Path | None:

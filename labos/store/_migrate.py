@@ -43,22 +43,6 @@ class DatabaseStatus(msgspec.Struct, frozen=True):
     expected: str = REVISION
 
 
-def is_replica(url: str) -> bool:
-    """Whether a database is a replica of another one, so that it cannot be written. Raises
-    StoreUnavailable."""
-    parsed = parse_url(url)
-    if parsed.get_backend_name() == "sqlite":
-        return False
-    from labos.store._postgres import make_small_engine
-
-    engine = make_small_engine(parsed)
-    try:
-        with TranslatedErrors(parsed), engine.connect() as connection:
-            return bool(connection.execute(text("SELECT pg_is_in_recovery()")).scalar())
-    finally:
-        engine.dispose()
-
-
 def find_migrations_folder() -> Path:
     """The folder of the migrations: in the installed package, otherwise in the checkout."""
     here = Path(__file__).resolve()
@@ -113,13 +97,6 @@ def refuse_newer(status: DatabaseStatus) -> None:
             f"this one knows {status.expected}). It was not touched.",
             remedy="Upgrade this installation: pip install --upgrade labos-sdl",
         )
-
-
-@contextmanager
-def migration_connection(url: str) -> Iterator[Connection]:
-    """A connection in one exclusive transaction, for migrations."""
-    with _open_exclusive(parse_url(url)) as connection:
-        yield connection
 
 
 def _status(url: URL) -> DatabaseStatus:
@@ -177,7 +154,7 @@ def _upgrade(url: URL) -> None:
     from alembic import command
 
     config = alembic_config()
-    with _open_exclusive(url) as connection:
+    with migration_connection(url) as connection:
         if connection.dialect.name == "postgresql":
             encoding = connection.execute(text("SHOW server_encoding")).scalar_one()
             if encoding != "UTF8":
@@ -194,7 +171,8 @@ def _upgrade(url: URL) -> None:
 
 
 @contextmanager
-def _open_exclusive(url: URL) -> Iterator[Connection]:
+def migration_connection(url: URL) -> Iterator[Connection]:
+    """A connection in one exclusive transaction, for migrations."""
     from labos.store._open import use_backend
 
     with use_backend(url) as backend, backend.writing.connect() as connection, connection.begin():

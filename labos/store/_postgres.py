@@ -26,7 +26,7 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.clock import Uuid7Ids
 from labos.errors import Refused, StoreUnavailable
-from labos.ports import Head
+from labos.ports import Head, Row
 from labos.store._backend import (
     ERASE_WORDS,
     INSERT_WORDS,
@@ -34,7 +34,6 @@ from labos.store._backend import (
     REWRITE_WORDS,
     REWRITING,
     Backend,
-    Row,
     WordChanges,
     make_head_row,
 )

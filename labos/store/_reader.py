@@ -11,18 +11,19 @@ from sqlalchemy import Integer, literal_column, select, true
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import GENESIS, Envelope, Record, decode_folded
+from labos.core.structs import make_from
 from labos.core.words import Kept
 from labos.errors import LogDamaged
-from labos.ports import Head, LogQuery
+from labos.ports import Head, LogQuery, Row, StoredSnapshot, StoredWords
 from labos.store import _checked
-from labos.store._backend import Backend, Row
+from labos.store._backend import Backend
 from labos.store._checked import CheckedRows, report_damage
 from labos.store._errors import TranslatedErrors
 from labos.store._home import SEAL, HomeFiles
 from labos.store._select import make_selection, select_positions_of_last
 from labos.store._tables import event, head, snapshot
 from labos.store._url import display_name
-from labos.store._words import StoredWords, read_all_words, read_words, read_words_by
+from labos.store._words import read_all_words, read_words, read_words_by
 
 _log = structlog.get_logger(__name__)
 
@@ -38,21 +39,6 @@ _BEHIND = "SELECT position FROM event WHERE position > ? ORDER BY position LIMIT
 # The limit is part of the text. PostgreSQL plans a prepared statement without its parameters, and for an
 # unknown limit it would read the whole rest of the log.
 _LIMIT = literal_column(str(_CHUNK), Integer)
-
-
-class StoredSnapshot(msgspec.Struct, frozen=True):
-    """The row of the snapshot. ``fault`` says why it is not ``genuine``; ``tampered``: it has a seal, but not
-    a correct one. ``on_log`` is the hash of the log at the snapshot's position; None if the log is
-    shorter."""
-
-    position: int
-    hash: bytes
-    fingerprint: str
-    data: bytes
-    genuine: bool
-    tampered: bool
-    fault: str
-    on_log: bytes | None
 
 
 class LogReader:
@@ -260,9 +246,7 @@ class LogReader:
             fault = "its seal was made with another key, or its content was changed"
         else:
             fault = "it has no seal"
-        return StoredSnapshot(
-            row.position, row.hash, row.fingerprint, row.data, genuine, tampered, fault, row.on_log
-        )
+        return make_from(StoredSnapshot, row, genuine=genuine, tampered=tampered, fault=fault)
 
     def flaw(self) -> str:
         """The fault that the database itself finds in its tables and indexes, in its own words; empty if it

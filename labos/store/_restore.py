@@ -17,7 +17,7 @@ from labos.core.envelope import GENESIS, Record
 from labos.core.ids import LabId
 from labos.core.lab import LEAP
 from labos.errors import Refused
-from labos.ports import Head
+from labos.ports import Head, StoredWords
 from labos.store._backend import WordChanges
 from labos.store._event_store import rows_of
 from labos.store._lease import find_lease_holder
@@ -25,7 +25,7 @@ from labos.store._migrate import migrate, read_database_status
 from labos.store._open import use_backend
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
-from labos.store._words import StoredWords, make_changes, row_of
+from labos.store._words import make_changes, row_of
 
 _CHUNK = 2000
 _BEGAN_S = 1_767_225_600

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -17,9 +16,9 @@ from typing import BinaryIO
 
 import msgspec
 
-from labos.core.envelope import GENESIS, Envelope, Record, find_damage
+from labos.core.envelope import Envelope, Record
 from labos.errors import BadInput, LogDamaged
-from labos.private import create_file
+from labos.private import replacing
 
 _GZIP = b"\x1f\x8b"
 _RESTORE = "Use another copy of the file; keep this one."
@@ -51,29 +50,24 @@ def decode_record(line: bytes) -> Record:
     return Record(_envelope.decode(envelope), envelope, bytes(found.payload), bytes.fromhex(found.hash))
 
 
-def write_segment(path: Path, records: Iterable[Record]) -> str:
-    """Write records to a file, which is synced on return and complete or absent; returns its SHA-256."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        with create_file(beside) as file:
-            if path.name.endswith(".gz"):
-                # The file contains no time and no name: the same records give the same file.
-                with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
-                    _write_lines(packed.write, records)
-            else:
-                _write_lines(file.write, records)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(beside, path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    return digest_file(path)
+def write_segment(path: Path, records: Iterable[Record]) -> tuple[str, Record | None]:
+    """Write records to a file, which is synced on return and complete or absent; returns its SHA-256, and the
+    last record."""
+    with replacing(path) as file:
+        if path.name.endswith(".gz"):
+            # The file contains no time and no name: the same records give the same file.
+            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
+                last = _write_lines(packed.write, records)
+        else:
+            last = _write_lines(file.write, records)
+    return digest_file(path), last
 
 
-def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> None:
-    for record in records:
-        write(encode_record(record) + b"\n")
+def _write_lines(write: Callable[[bytes], object], records: Iterable[Record]) -> Record | None:
+    last = None
+    for last in records:
+        write(encode_record(last) + b"\n")
+    return last
 
 
 def read_segment(path: Path, after: int = 0) -> Iterator[Record]:
@@ -109,25 +103,6 @@ def _open_segment(path: Path) -> BinaryIO | gzip.GzipFile:
     with path.open("rb") as file:
         packed = file.read(2) == _GZIP
     return gzip.open(path, "rb") if packed else path.open("rb")
-
-
-def check_chain(records: Iterable[Record], before: bytes = GENESIS, after: int = 0) -> Iterator[Record]:
-    """The same records, as long as each follows the one before in the chain. Raises LogDamaged."""
-    for record in records:
-        if record.head.position != after + 1:
-            raise _report_break(after + 1, "the record is missing")
-        if fault := find_damage(before, record):
-            raise _report_break(after + 1, fault)
-        before, after = record.hash, after + 1
-        yield record
-
-
-def _report_break(position: int, fault: str) -> LogDamaged:
-    return LogDamaged(
-        f"Position {position}: {fault}.",
-        position=position,
-        remedy="The records before it can be trusted.",
-    )
 
 
 def digest_file(path: Path) -> str:

@@ -27,14 +27,13 @@ from sqlalchemy.pool import NullPool, QueuePool
 
 from labos.errors import Refused, StoreUnavailable
 from labos.lockfile import FileLock
-from labos.ports import Head
+from labos.ports import Head, Row
 from labos.private import make_database_file
 from labos.store._backend import (
     ERASE_WORDS,
     INSERT_WORDS,
     MOVE_HEAD,
     Backend,
-    Row,
     WordChanges,
     make_head_row,
 )
@@ -107,16 +106,9 @@ class SqliteBackend(Backend):
         return self._move_into_the_file()
 
     def fetch(self, statement: str, parameters: Sequence[object]) -> list[Row]:
-        pooled = self.reading.raw_connection()
-        try:
-            cursor = pooled.cursor()
-            try:
-                cursor.execute(statement, parameters)
-                return cursor.fetchall()  # type: ignore[return-value]
-            finally:
-                cursor.close()
-        finally:
-            pooled.close()
+        with closing(self.reading.raw_connection()) as pooled, closing(pooled.cursor()) as cursor:
+            cursor.execute(statement, parameters)
+            return cursor.fetchall()  # type: ignore[return-value]
 
     def contains(self, column: ColumnElement[Any], part: str | bytes) -> ColumnElement[bool]:
         return func.instr(column, literal(part)) > 0

@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-import msgspec
 from sqlalchemy import Connection, or_, select
 
 from labos.core.envelope import Record
-from labos.core.erasure import WordsErased
-from labos.core.registry import decode
+from labos.core.erasure import list_erased
 from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
-from labos.store._backend import Row, WordChanges
+from labos.ports import Row, StoredWords
+from labos.store._backend import WordChanges
 from labos.store._tables import event, words
 
 _AT_ONCE = 500
 """The number of references that one statement looks up."""
-
-
-class StoredWords(msgspec.Struct, frozen=True):
-    """Words beside the log. ``position`` is the first event that refers to them, and ``erased_at`` the event
-    that erased them (0: none). If that is after the end of the log, they were erased in a log of which this
-    one is an older copy."""
-
-    words: Kept
-    position: int
-    erased_at: int
 
 
 NOTHING = WordChanges()
@@ -42,16 +31,11 @@ def make_changes(records: Sequence[Record]) -> WordChanges:
         for kept in record.words
     ]
     erased = [
-        row for record in records if record.head.type == WordsErased.TYPE for row in _list_erased(record)
+        (b"", record.head.position, reference)
+        for record in records
+        for reference in list_erased(record.head.type, record.head.schema, record.payload)
     ]
     return WordChanges(added, erased) if added or erased else NOTHING
-
-
-def _list_erased(record: Record) -> Iterator[Row]:
-    found = decode(record.head.type, record.head.schema, record.payload)
-    if isinstance(found, WordsErased):
-        for reference in found.references():
-            yield b"", record.head.position, reference
 
 
 def read_words(connection: Connection, references: Iterable[str]) -> dict[str, Kept]:

@@ -13,12 +13,11 @@ from pathlib import Path
 import msgspec
 
 from labos.core.envelope import Record
-from labos.core.erasure import WordsErased, list_references_in_words
-from labos.core.registry import decode
+from labos.core.erasure import list_erased, list_references_in_words
 from labos.core.words import Kept
 from labos.errors import LogDamaged
+from labos.ports import StoredWords
 from labos.private import replace_file
-from labos.store._words import StoredWords
 
 WORDS = "words.jsonl"
 
@@ -34,9 +33,8 @@ class _Line(msgspec.Struct, frozen=True):
 _decoder = msgspec.json.Decoder(_Line)
 
 
-def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
-    """Write the words of events up to a position; returns the number of texts."""
-    number = 0
+def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> None:
+    """Write the words of events up to a position."""
     lines = []
     for each in words:
         if each.position > upto:
@@ -44,10 +42,8 @@ def copy_words(words: Iterable[StoredWords], folder: Path, upto: int) -> int:
         kept = each.words
         line = _Line(kept.reference, each.position, kept.salt.hex(), kept.text, each.erased_at)
         lines.append(msgspec.json.encode(line) + b"\n")
-        number += not kept.is_erased
     if lines or (folder / WORDS).exists():
         replace_file(folder / WORDS, b"".join(lines))
-    return number
 
 
 def read_words_copy(folder: Path) -> Iterator[StoredWords]:
@@ -77,15 +73,12 @@ class WordsExpected:
 
     def take(self, record: Record) -> None:
         head = record.head
-        if head.type == WordsErased.TYPE:
-            event = decode(head.type, head.schema, record.payload)
-            assert isinstance(event, WordsErased)
-            for reference in event.references():
-                self._named.pop(reference, None)
-                if self._known.get(reference) is False:
-                    raise _report_damage(
-                        head.position, f"{WORDS} contains words that are erased in the backup's log"
-                    )
+        for reference in list_erased(head.type, head.schema, record.payload):
+            self._named.pop(reference, None)
+            if self._known.get(reference) is False:
+                raise _report_damage(
+                    head.position, f"{WORDS} contains words that are erased in the backup's log"
+                )
         for reference in list_references_in_words(head.type, record.payload):
             self._named.setdefault(reference, head.position)
 

@@ -24,9 +24,47 @@ def describe_process() -> str:
     return generate_latest(_make_collectors()).decode()
 
 
+_GAUGES = {
+    "pace": ("labos_lab_pace_ratio", "The speed-up factor of simulated instruments; 1 in a real lab."),
+    "epoch": ("labos_kernel_epoch", "The kernel's epoch: one more at each start."),
+    "started_at": ("labos_kernel_start_time_seconds", "The start of this kernel (UNIX time)."),
+    "suspended": (
+        "labos_kernel_suspended",
+        "1 while nothing starts because planning fails: a fault of LabOS.",
+    ),
+    "available": ("labos_log_available", "0 while the log cannot be written and is being read again."),
+    "durable": ("labos_log_position", "The position of the last event on disk."),
+    "unwritten": ("labos_log_unwritten_events", "Events that are decided but not yet on disk."),
+    "checked": ("labos_log_checked_events", "Events whose chain was checked since the kernel started."),
+    "damaged": ("labos_log_damaged", "1 if the check of the log has found damage."),
+    "store_bytes": ("labos_store_size_bytes", "Size of the database's files (SQLite only)."),
+    "disk_free": ("labos_disk_free_bytes", "Free room on the disk of the lab's folder."),
+    "disk_size": ("labos_disk_size_bytes", "Size of the disk of the lab's folder."),
+}
+_COUNTERS = {
+    "queries": ("labos_bus_queries_total", "Queries that the kernel has sent on the bus."),
+    "unanswered": ("labos_bus_queries_unanswered_total", "Queries on the bus without an answer."),
+    "published": ("labos_bus_publications_total", "Messages that the kernel has published on the bus."),
+    "dropped": (
+        "labos_bus_dropped_total",
+        "Messages that were dropped because too many waited to be handled.",
+    ),
+    "left_out": (
+        "labos_bus_announcements_left_out_total",
+        "Events that were not announced on the bus because it was too slow; they are in the log.",
+    ),
+    "spans": ("labos_trace_spans_total", "Spans of traces that were made for an OpenTelemetry receiver."),
+    "spans_sent": ("labos_trace_spans_sent_total", "Spans of traces that the receiver has accepted."),
+    "faults": (
+        "labos_kernel_faults_total",
+        "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
+    ),
+}
+"""The metrics that show a reading, by its name."""
+
+
 class ProcessMetrics(MetricGroup):
-    """The metrics of a kernel's process that are not about the bench. Most have the name of the reading that
-    they show."""
+    """The metrics of a kernel's process that are not about the bench."""
 
     def __init__(self) -> None:
         self.build = GaugeMetric(
@@ -37,59 +75,8 @@ class ProcessMetrics(MetricGroup):
             "1; the labels identify the lab. bench is real or simulated.",
             ("id", "name", "bench"),
         )
-        self.pace = GaugeMetric(
-            "labos_lab_pace_ratio",
-            "The speed-up factor of simulated instruments; 1 in a real lab.",
-        )
-        self.epoch = GaugeMetric("labos_kernel_epoch", "The kernel's epoch: one more at each start.")
-        self.started_at = GaugeMetric(
-            "labos_kernel_start_time_seconds", "The start of this kernel (UNIX time)."
-        )
-        self.suspended = GaugeMetric(
-            "labos_kernel_suspended", "1 while nothing starts because planning fails: a fault of LabOS."
-        )
-        self.available = GaugeMetric(
-            "labos_log_available", "0 while the log cannot be written and is being read again."
-        )
-        self.durable = GaugeMetric("labos_log_position", "The position of the last event on disk.")
-        self.unwritten = GaugeMetric(
-            "labos_log_unwritten_events", "Events that are decided but not yet on disk."
-        )
-        self.checked = GaugeMetric(
-            "labos_log_checked_events", "Events whose chain was checked since the kernel started."
-        )
-        self.damaged = GaugeMetric("labos_log_damaged", "1 if the check of the log has found damage.")
-        self.store_bytes = GaugeMetric(
-            "labos_store_size_bytes", "Size of the database's files (SQLite only)."
-        )
-        self.disk_free = GaugeMetric("labos_disk_free_bytes", "Free room on the disk of the lab's folder.")
-        self.disk_size = GaugeMetric("labos_disk_size_bytes", "Size of the disk of the lab's folder.")
-        self.queries = ComputedCounter(
-            "labos_bus_queries_total", "Queries that the kernel has sent on the bus."
-        )
-        self.unanswered = ComputedCounter(
-            "labos_bus_queries_unanswered_total", "Queries on the bus without an answer."
-        )
-        self.published = ComputedCounter(
-            "labos_bus_publications_total", "Messages that the kernel has published on the bus."
-        )
-        self.dropped = ComputedCounter(
-            "labos_bus_dropped_total", "Messages that were dropped because too many waited to be handled."
-        )
-        self.left_out = ComputedCounter(
-            "labos_bus_announcements_left_out_total",
-            "Events that were not announced on the bus because it was too slow; they are in the log.",
-        )
-        self.spans = ComputedCounter(
-            "labos_trace_spans_total", "Spans of traces that were made for an OpenTelemetry receiver."
-        )
-        self.spans_sent = ComputedCounter(
-            "labos_trace_spans_sent_total", "Spans of traces that the receiver has accepted."
-        )
-        self.faults = ComputedCounter(
-            "labos_kernel_faults_total",
-            "Turns of the kernel that failed and were taken back, and other faults of LabOS.",
-        )
+        self.show(GaugeMetric, _GAUGES)
+        self.show(ComputedCounter, _COUNTERS)
         self.build.set(1, (VERSION, platform.python_version()))
 
     def update(self, lab: str, name: str, simulated: bool, **readings: float | None) -> None:
@@ -100,4 +87,4 @@ class ProcessMetrics(MetricGroup):
 
     def lose(self) -> None:
         """Record that the log cannot be written; the other metrics keep their values."""
-        self.available.set(0)
+        self.take(available=0)

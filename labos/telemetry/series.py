@@ -38,6 +38,8 @@ class LabMetric:
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         self.name, self.help, self.labels, self.most = name, help, labels, most
         self._prefixes: dict[Labels, str] = {}
+        self._changed: dict[Labels, bool] = {}
+        self._lines: dict[Labels, str] = {}
         self._rest = (OTHER,) * len(labels)
 
     @property
@@ -47,11 +49,28 @@ class LabMetric:
 
     def lines(self) -> Iterable[str]:
         """The series in Prometheus' text format, without their head."""
-        raise NotImplementedError
+        for key in self._changed:
+            self._lines[key] = self._write(key)
+        self._changed.clear()
+        return self._lines.values()
 
     def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
         """(name, labels, value) of each series."""
+        for key in self._prefixes:
+            named = dict(zip(self.labels, key, strict=True))
+            for name, more, value in self._list_points(key):
+                yield name, {**named, **more}, value
+
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        """(name, further labels, value) of each series of one set of labels."""
         raise NotImplementedError
+
+    def _write(self, key: Labels) -> str:
+        prefix = self._prefixes[key]
+        return "\n".join(
+            _line(name, _join_labels(prefix, f'le="{more["le"]}"') if more else prefix, value)
+            for name, more, value in self._list_points(key)
+        )
 
     def _labels_of(self, key: Labels) -> Labels:
         """The set of labels under which a value is stored; the prefix of a new set is made here."""
@@ -72,11 +91,13 @@ class _NumberMetric(LabMetric):
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         super().__init__(name, help, labels, most=most)
         self._values: dict[Labels, float] = {}
-        self._lines: dict[Labels, str] = {}
 
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, value in self._values.items():
-            yield self.name, dict(zip(self.labels, key, strict=True)), value
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        return ((self.name, {}, self._values[key]),)
+
+    def _write(self, key: Labels) -> str:
+        """The same without a detour: most series are numbers."""
+        return _line(self.name, self._prefixes[key], self._values[key])
 
 
 class CounterMetric(_NumberMetric):
@@ -86,7 +107,6 @@ class CounterMetric(_NumberMetric):
 
     def __init__(self, name: str, help: str, labels: Labels = (), *, most: int = MOST) -> None:
         super().__init__(name, help, labels, most=most)
-        self._changed: dict[Labels, bool] = {}
         if not labels:
             self.begin()
 
@@ -103,12 +123,6 @@ class CounterMetric(_NumberMetric):
     def value(self, key: Labels = ()) -> float:
         return self._values.get(key, 0.0)
 
-    def lines(self) -> Iterable[str]:
-        for key in self._changed:
-            self._lines[key] = _line(self.name, self._prefixes[key], self._values[key])
-        self._changed.clear()
-        return self._lines.values()
-
 
 class GaugeMetric(_NumberMetric):
     """A present value. ``replace`` sets all series; those that it does not name are removed."""
@@ -119,12 +133,13 @@ class GaugeMetric(_NumberMetric):
         if self._values.get(key) != value:
             key = self._labels_of(key)
             self._values[key] = value
-            self._lines[key] = _line(self.name, self._prefixes[key], value)
+            self._changed[key] = True
 
     def replace(self, values: Mapping[Labels, float]) -> None:
-        if self._values.keys() - values.keys():
-            for key in [key for key in self._values if key not in values]:
-                del self._values[key], self._lines[key], self._prefixes[key]
+        for key in self._values.keys() - values.keys():
+            del self._values[key], self._prefixes[key]
+            self._changed.pop(key, None)
+            self._lines.pop(key, None)
         rest = 0.0
         for key, value in values.items():
             if self._values.get(key) == value:
@@ -139,9 +154,6 @@ class GaugeMetric(_NumberMetric):
     def clear(self) -> None:
         """Remove all series."""
         self.replace({})
-
-    def lines(self) -> Iterable[str]:
-        return self._lines.values()
 
 
 class ComputedCounter(GaugeMetric):
@@ -179,8 +191,6 @@ class Distribution(LabMetric):
         self.kind = "histogram" if bounds else "summary"
         self.bounds = tuple(bounds)
         self._heaps: dict[Labels, _Observations] = {}
-        self._changed: dict[Labels, bool] = {}
-        self._lines: dict[Labels, str] = {}
         if not labels:
             self.begin()
 
@@ -205,25 +215,8 @@ class Distribution(LabMetric):
         heap.total += value
         self._changed[key] = True
 
-    def lines(self) -> Iterable[str]:
-        for key in self._changed:
-            prefix = self._prefixes[key]
-            rows = (
-                _line(name, _join_labels(prefix, f'le="{more["le"]}"') if "le" in more else prefix, value)
-                for name, more, value in self._list_points(self._heaps[key])
-            )
-            self._lines[key] = "\n".join(rows)
-        self._changed.clear()
-        return self._lines.values()
-
-    def samples(self) -> Iterator[tuple[str, dict[str, str], float]]:
-        for key, heap in self._heaps.items():
-            named = dict(zip(self.labels, key, strict=True))
-            for name, more, value in self._list_points(heap):
-                yield name, {**named, **more}, value
-
-    def _list_points(self, heap: _Observations) -> Iterator[tuple[str, dict[str, str], float]]:
-        counts, total = list(heap.counts), heap.total
+    def _list_points(self, key: Labels) -> Iterable[tuple[str, dict[str, str], float]]:
+        counts, total = list(self._heaps[key].counts), self._heaps[key].total
         if self.bounds:
             upto = 0
             for bound, count in zip((*self.bounds, math.inf), counts, strict=True):
@@ -239,6 +232,11 @@ class MetricGroup:
     @property
     def families(self) -> list[LabMetric]:
         return [value for value in vars(self).values() if isinstance(value, LabMetric)]
+
+    def show(self, kind: type[GaugeMetric], metrics: Mapping[str, tuple[str, str]]) -> None:
+        """Add metrics without labels: name and help, by the name of the reading that ``take`` sets."""
+        for reading, (name, help) in metrics.items():
+            setattr(self, reading, kind(name, help))
 
     def take(self, **readings: float | None) -> None:
         """Set the metrics with these names; a metric keeps its value if its reading is None."""

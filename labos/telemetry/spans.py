@@ -54,6 +54,10 @@ class Span(msgspec.Struct, frozen=True):
     error: str = ""
 
 
+Key = tuple[object, ...]
+"""What names a span within its lab; empty for none."""
+
+
 class _OpenRun(msgspec.Struct):
     """A run that has not ended, with the keys of its plan's steps and the started steps."""
 
@@ -95,16 +99,18 @@ class SpanRecorder:
         self._lab = ""
         self._runs: dict[RunId, _OpenRun] = {}
         self._actions: dict[ActionId, _OpenAction] = {}
-        self._handlers = list_handlers(vars(SpanRecorder), None, "_on_", ("event", "at", "durable_at"))
+        self._handlers = list_handlers(vars(SpanRecorder), None, "_on_")
+        self._durable_at = 0
+        """When the events were committed that are handled now."""
 
     # -- called by the kernel ------------------------------------------------------------------
 
     def on_committed(self, entries: Sequence[Entry]) -> None:
-        durable_at = self._now()
+        self._durable_at = self._now()
         for entry in entries:
             handler = self._handlers.get(type(entry.event))
             if handler is not None:
-                handler(self, entry.event, entry.record.head.recorded_at, durable_at)
+                handler(self, entry.event, entry.record.head.recorded_at)
 
     def on_reopened(self) -> None:
         self.begin_with(self._state())
@@ -127,18 +133,18 @@ class SpanRecorder:
 
     # -- runs ----------------------------------------------------------------------------------
 
-    def _on_submitted(self, event: r.RunSubmitted, at: int, durable_at: int) -> None:
+    def _on_submitted(self, event: r.RunSubmitted, at: int) -> None:
         self._lab = self._lab or self._state().lab.id
         self._runs[event.run] = _OpenRun(event.workflow, _attributes_of(event), at)
 
-    def _on_started(self, event: r.RunStarted, at: int, durable_at: int) -> None:
+    def _on_started(self, event: r.RunStarted, at: int) -> None:
         run = self._runs.get(event.run)
         if run is not None:
             run.keys = self._list_keys(event.run)
-            trace, parent = self._make_trace_id(event.run), self._make_id("run", event.run)
-            self._emit_span(trace, ("wait", event.run), parent, "wait for start", run.submitted_at, at)
+            key, parent = ("wait", event.run), ("run", event.run)
+            self._emit_span(event.run, key, parent, "wait for start", run.submitted_at, at)
 
-    def _on_run_ended(self, event: r.RunEnd, at: int, durable_at: int) -> None:
+    def _on_run_ended(self, event: r.RunEnd, at: int) -> None:
         run = self._runs.pop(event.run, None)
         if run is None:
             return
@@ -147,16 +153,8 @@ class SpanRecorder:
         outcome = event.TYPE.rpartition(".")[2]
         error = event.why or outcome if isinstance(event, r.RunFailed | r.RunCancelled) else ""
         attributes = {**run.attributes, "labos.outcome": outcome}
-        self._emit_span(
-            self._make_trace_id(event.run),
-            ("run", event.run),
-            0,
-            f"run {run.workflow}",
-            run.submitted_at,
-            at,
-            attributes,
-            error,
-        )
+        key, name = ("run", event.run), f"run {run.workflow}"
+        self._emit_span(event.run, key, (), name, run.submitted_at, at, attributes, error)
 
     def _list_keys(self, name: RunId) -> tuple[str, ...]:
         """The keys of a run's steps; none if the run has already ended."""
@@ -174,35 +172,31 @@ class SpanRecorder:
     def _end_step(self, name: RunId, run: _OpenRun, number: int, step: _OpenStep) -> None:
         key = run.keys[number] if number < len(run.keys) else str(number + 1)
         attributes: dict[str, Attribute] = {"labos.run": name, "labos.step": key}
-        trace, parent = self._make_trace_id(name), self._make_id("run", name)
-        end = step.end or step.start
-        self._emit_span(
-            trace, ("step", name, number), parent, f"step {key}", step.start, end, attributes, step.error
-        )
+        own, parent, end = ("step", name, number), ("run", name), step.end or step.start
+        self._emit_span(name, own, parent, f"step {key}", step.start, end, attributes, step.error)
 
     # -- actions -------------------------------------------------------------------------------
 
-    def _on_requested(self, event: ActionRequested, at: int, durable_at: int) -> None:
+    def _on_requested(self, event: ActionRequested, at: int) -> None:
         attributes = _action_attributes(event.action, event.module, event.name, event.attempt)
         name = _name(event.module, event.name)
-        self._actions[event.action] = _OpenAction(event.run, event.step, name, attributes, at, durable_at)
+        self._actions[event.action] = _OpenAction(
+            event.run, event.step, name, attributes, at, self._durable_at
+        )
         self._begin_step(event.run, event.step, at)
 
-    def _on_accepted(self, event: ActionAccepted, at: int, durable_at: int) -> None:
+    def _on_accepted(self, event: ActionAccepted, at: int) -> None:
         action = self._actions.get(event.action)
         if action is not None:
             action.accepted_at = at
 
-    def _on_reported(self, event: ActionReported, at: int, durable_at: int) -> None:
+    def _on_reported(self, event: ActionReported, at: int) -> None:
         action = self._actions.get(event.action)
         if action is not None:
             action.device_ended_at = event.ended_ns
 
     def _on_ended(
-        self,
-        event: ActionSucceeded | ActionFailed | ActionRejected | ActionUnknown,
-        at: int,
-        durable_at: int,
+        self, event: ActionSucceeded | ActionFailed | ActionRejected | ActionUnknown, at: int
     ) -> None:
         action = self._actions.pop(event.action, None)
         if action is None:
@@ -211,9 +205,9 @@ class SpanRecorder:
         action.device_ended_at = getattr(event, "ended_ns", 0) or action.device_ended_at
         attributes = {**action.attributes, "labos.outcome": event.TYPE.rpartition(".")[2]}
         attempt = ("attempt", event.action, action.attributes["labos.attempt"])
-        trace = self._make_trace_id(action.run or event.action)
-        parent = self._make_id("step", action.run, action.step) if action.run else 0
-        end = max(at, durable_at)
+        trace = action.run or event.action
+        parent = ("step", action.run, action.step) if action.run else ()
+        end = max(at, self._durable_at)
         self._emit_span(trace, attempt, parent, action.name, action.requested_at, end, attributes, error)
         self._emit_parts(trace, attempt, action, at, end)
         run = self._runs.get(action.run)
@@ -223,7 +217,7 @@ class SpanRecorder:
             if not error:
                 self._end_step(action.run, run, action.step, run.steps.pop(action.step))
 
-    def _on_reconciled(self, event: ActionReconciled, at: int, durable_at: int) -> None:
+    def _on_reconciled(self, event: ActionReconciled, at: int) -> None:
         """End the step here. The span of its action ended when the outcome became unknown."""
         run = self._runs.get(event.run)
         step = run.steps.get(event.step) if run is not None else None
@@ -231,15 +225,12 @@ class SpanRecorder:
             step.end = at
             step.error = "" if event.effects == "all" else f"settled as {event.effects} by {event.by}"
 
-    def _emit_parts(
-        self, trace: int, attempt: tuple[object, ...], action: _OpenAction, at: int, end: int
-    ) -> None:
+    def _emit_parts(self, trace: str, attempt: Key, action: _OpenAction, at: int, end: int) -> None:
         """Emit the parts of the time of an action. Unknown parts are left out."""
-        parent = self._make_id(*attempt)
 
         def part(name: str, start: int, until: int) -> None:
             if until > start:
-                self._emit_span(trace, (*attempt, name), parent, name, start, until)
+                self._emit_span(trace, (*attempt, name), attempt, name, start, until)
 
         sent = action.durable_at  # unknown for an action that an earlier kernel has sent
         began = action.accepted_at or sent
@@ -258,25 +249,22 @@ class SpanRecorder:
 
     def _emit_span(
         self,
-        trace: int,
-        key: tuple[object, ...],
-        parent: int,
+        trace: str,
+        key: Key,
+        parent: Key,
         name: str,
         start: int,
         end: int,
         attributes: dict[str, Attribute] | None = None,
         error: str = "",
     ) -> None:
-        self._emit(
-            Span(trace, self._make_id(*key), parent, name, start, max(start, end), attributes or {}, error)
-        )
+        """Emit a span of the ``trace`` of a run (or of an action outside of runs)."""
+        ids = make_trace_id(self._lab, trace), self._make_id(key), self._make_id(parent)
+        self._emit(Span(*ids, name, start, max(start, end), attributes or {}, error))
 
-    def _make_trace_id(self, name: str) -> int:
-        return make_trace_id(self._lab, name)
-
-    def _make_id(self, *key: object) -> int:
+    def _make_id(self, key: Key) -> int:
         text = "/".join((self._lab, *map(str, key)))
-        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8])
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8]) if key else 0
 
 
 def make_trace_id(lab: str, name: str) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from labos.core.calibrations import find_first_expiry
 from labos.core.days import end_of
@@ -35,17 +35,16 @@ class StateMetrics(MetricGroup):
     def __init__(self, workflows: BoundedNames, users: BoundedNames) -> None:
         self._workflow, self._user = workflows, users
         cell, module = ("workcell",), ("workcell", "module")
+        of_cell = partial(GaugeMetric, labels=cell, most=CELLS)
         self.runs = GaugeMetric(
             "labos_runs",
             f"Runs that have not ended; state is {', '.join(RUN_STATES)}.",
             (*cell, "workflow", "state"),
         )
-        self.queue = GaugeMetric("labos_queue_runs", "Runs that wait to be started.", cell, most=CELLS)
-        self.queue_age_s = GaugeMetric(
+        self.queue = of_cell("labos_queue_runs", "Runs that wait to be started.")
+        self.queue_age_s = of_cell(
             "labos_queue_oldest_age_seconds",
             "Waiting time of the oldest run that has not started; 0 if no run waits.",
-            cell,
-            most=CELLS,
         )
         self.waiting = GaugeMetric(
             "labos_waiting_steps",
@@ -69,13 +68,12 @@ class StateMetrics(MetricGroup):
             most=5_000,
         )
         self.stations = GaugeMetric(
-            "labos_module_places", "Room for labware at the module's stations.", module, most=1_000
+            "labos_module_places", "Room for labware at the module's stations.", module
         )
         self.occupied = GaugeMetric(
             "labos_module_places_occupied",
             "Labware at the module's stations, including labware that is being moved there.",
             module,
-            most=1_000,
         )
         self.labware = GaugeMetric(
             "labos_labware",
@@ -95,23 +93,14 @@ class StateMetrics(MetricGroup):
         self.capacity = GaugeMetric(
             "labos_resource_capacity", "The capacity for a resource, in its own unit.", (*module, "resource")
         )
-        self.calibration_ends_s = GaugeMetric(
+        self.calibration_ends_s = of_cell(
             "labos_calibration_ends_timestamp_seconds",
             "The expiry time of the calibration that expires first; no value if none expires.",
-            cell,
-            most=CELLS,
         )
-        self.questions = GaugeMetric(
-            "labos_interventions_open",
-            "Open questions and tasks for a person.",
-            cell,
-            most=CELLS,
-        )
-        self.question_age_s = GaugeMetric(
+        self.questions = of_cell("labos_interventions_open", "Open questions and tasks for a person.")
+        self.question_age_s = of_cell(
             "labos_intervention_oldest_age_seconds",
             "How long the oldest question or task has waited; 0 if none does.",
-            cell,
-            most=CELLS,
         )
         self.approvals = GaugeMetric(
             "labos_approvals_open",
@@ -123,9 +112,7 @@ class StateMetrics(MetricGroup):
         self._seen_runs: dict[Labels, bool] = {}
         self._seen_users: dict[Labels, bool] = {}
         self._seen_waits: dict[Labels, bool] = {}
-        self.access = GaugeMetric(
-            "labos_workcell_access", "1 while a person has access to the workcell.", cell, most=CELLS
-        )
+        self.access = of_cell("labos_workcell_access", "1 while a person has access to the workcell.")
         self.starts_paused = GaugeMetric(
             "labos_starts_paused",
             "The number of experiments, modules and workcells whose starts somebody has paused; 0 is normal.",

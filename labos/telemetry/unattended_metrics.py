@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from labos.telemetry.series import ComputedCounter, GaugeMetric, Labels, MetricGroup
@@ -16,33 +17,21 @@ class UnattendedMetrics(MetricGroup):
     was read from its beginning."""
 
     def __init__(self) -> None:
-        scope = ("scope", "workcell")
-        self.current_s = GaugeMetric(
-            "labos_twh_current_seconds",
-            "Working time since the last human intervention.",
-            scope,
-            most=250,
+        gauge = partial(GaugeMetric, labels=("scope", "workcell"), most=250)
+        counter = partial(ComputedCounter, labels=("scope", "workcell"), most=250)
+        self.current_s = gauge("labos_twh_current_seconds", "Working time since the last human intervention.")
+        self.longest_s = gauge(
+            "labos_twh_longest_seconds", "The longest working time without a human intervention so far."
         )
-        self.longest_s = GaugeMetric(
-            "labos_twh_longest_seconds",
-            "The longest working time without a human intervention so far.",
-            scope,
-            most=250,
+        self.working = gauge(
+            "labos_twh_working", "1 while the clock runs: a run is under way and does not wait for a person."
         )
-        self.working = GaugeMetric(
-            "labos_twh_working",
-            "1 while the clock runs: a run is under way and does not wait for a person.",
-            scope,
-            most=250,
+        self.clock_s = counter(
+            "labos_twh_clock_seconds_total", "Total working time, with and without people."
         )
-        self.clock_s = ComputedCounter(
-            "labos_twh_clock_seconds_total", "Total working time, with and without people.", scope, most=250
-        )
-        self.planned = ComputedCounter(
+        self.planned = counter(
             "labos_planned_touches_total",
             "Planned work of people, which does not end a stretch without intervention.",
-            scope,
-            most=250,
         )
         self.interventions = ComputedCounter(
             "labos_human_interventions_total",

@@ -7,12 +7,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from labos.core.envelope import GENESIS, Record, find_damage
-from labos.core.erasure import WordsErased
+from labos.core.erasure import list_erased
 from labos.core.ids import LabId
-from labos.core.registry import decode
 from labos.core.words import Kept
 from labos.errors import Fenced, LogDamaged, Refused, StoreError, StoreUnavailable
-from labos.ports import EventStore, Head, LogQuery
+from labos.ports import EventStore, Head, LogQuery, Row
 from labos.testing.faults import Faults
 from labos.testing.loop import Process, context_of
 
@@ -123,15 +122,9 @@ class SimulatedStore:
             self.records.extend(records)
             for record in records:
                 self.words.update((kept.reference, kept) for kept in record.words)
-                if record.head.type == WordsErased.TYPE:
-                    self._erase(record)
+                for name in list_erased(record.head.type, record.head.schema, record.payload):
+                    self.words[name] = Kept(name, b"", "")
         return self._head
-
-    def _erase(self, record: Record) -> None:
-        event = decode(record.head.type, record.head.schema, record.payload)
-        assert isinstance(event, WordsErased)
-        for name in event.references():
-            self.words[name] = Kept(name, b"", "")
 
     def _settle(self, holder: Process | None) -> None:
         """Settle the last write of the previous kernel: if it is dead, the system's cache remains unless the
@@ -147,8 +140,16 @@ class SimulatedStore:
     def read(self, after: int = 0, upto: int | None = None) -> Iterator[Record]:
         return iter(self.records[after:upto])
 
+    def replay(
+        self, after: int = 0, upto: int | None = None, *, before: bytes = b"", end: Head | None = None
+    ) -> Iterator[Row]:
+        for record in self.read(after, upto):
+            head = record.head
+            yield head.position, head.type, head.schema, head.recorded_at, record.payload
+
     def select(self, query: LogQuery) -> Iterator[Record]:
-        return iter(self.records[query.after : query.upto])
+        records = self.records[query.after : query.upto]
+        return (record for record in records if not query.types or record.head.type in query.types)
 
     def words_of(self, references: Iterable[str]) -> dict[str, Kept]:
         return {name: self.words[name] for name in references if name in self.words}

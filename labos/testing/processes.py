@@ -233,16 +233,15 @@ class Processes:
         registry = Registry(kernel, bus, dispatcher, silence_s=10 * HEARTBEAT_S)
         await dispatcher.start()
         await registry.start()
-        reconciler = Reconciler(kernel, bus)
-        reconciler.start()
-        Verifier(kernel, bus).start()
-        self._serve(kernel)
+        await Reconciler(kernel, bus).start()
+        await Verifier(kernel, bus).start()
+        await self._serve(kernel)
         self._serving.append(kernel)
         self.kernel = self._find_latest_kernel()
         await kernel.failed
         process.kill()
 
-    def _serve(self, kernel: Kernel) -> None:
+    async def _serve(self, kernel: Kernel) -> None:
         """Further work of a kernel's process; there is none by default."""
 
     def _bury(self, name: str) -> None:

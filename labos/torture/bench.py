@@ -8,7 +8,6 @@ import asyncio
 import time
 from collections import Counter
 from collections.abc import Mapping
-from typing import Any
 
 import msgspec
 
@@ -184,6 +183,11 @@ def is_unresolved(effect: AnyEffect) -> bool:
     return any(isinstance(v, str) and "{" in v and not is_reported(v) for v in values)
 
 
+def find_repeated(deeds: Deeds, expected: Deeds) -> Deeds:
+    """The expected motions that were made more often than expected, with the number of times."""
+    return Counter({deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]})
+
+
 def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
     """The motions as text."""
     words = [
@@ -191,11 +195,3 @@ def describe_deeds(deeds: Mapping[tuple[str, str], int]) -> str:
         for (verb, place), n in sorted(deeds.items())
     ]
     return ", ".join(words) or "nothing"
-
-
-def read_presence(value: Any) -> bool | None:
-    """The meaning of a sensor's value for a place: something there, nothing there, or None if it cannot
-    tell."""
-    if value is None:
-        return None
-    return bool(value)

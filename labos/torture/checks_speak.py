@@ -100,8 +100,7 @@ async def check_happy_path(on: Session) -> None:
     """Each action has exactly its declared effects, once, and the module is then idle again."""
     for case in on.cases:
         spec = on.spec(case)
-        await on.fulfil(case)
-        on.lay(case)
+        await on.prepare(case)
         effects = on.bench.effects(case, spec)
         plates = [(effect, on.bench.find_subject(effect)) for effect in effects]
         used = {
@@ -278,7 +277,7 @@ async def check_busy(on: Session) -> None:
         if asked.reply.status == "refused":
             raise Failed(f"{query.action} is a pure query, but is refused while it works: {asked.reply.why}")
         # Changes in this time are caused by the motion.
-        answer = asked.reply.outcome or await on.kernel.outcome(asked.start, END_S)
+        answer = await on.await_outcome(asked)
         if answer is None or not answer.succeeded:
             why = answer.error if answer is not None else "it has no answer"
             raise Failed(f"{query.action} is a pure query, but fails while it works: {why}")

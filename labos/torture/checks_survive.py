@@ -7,7 +7,7 @@ import asyncio
 from typing import TYPE_CHECKING
 
 from labos.node.protocol import Outcome
-from labos.torture.bench import describe_deeds
+from labos.torture.bench import describe_deeds, find_repeated
 from labos.torture.checks_speak import require_wire
 from labos.torture.observation import observe_bench
 from labos.torture.session import END_S, REST_S, TRIES, Attempt, Failed, LeftOut, Session, key_of
@@ -65,16 +65,14 @@ async def check_device_error(on: Session) -> None:
         raise LeftOut("TORTURE names no fault of the device")
     case = on.choose_motion()
     for fault in on.torture.faults:
-        await on.fulfil(case)
-        on.lay(case)
+        await on.prepare(case)
         on.strike(fault)
         done = await on.ask_for(case)
         outcome = await on.end(done)
         if outcome.succeeded:
             raise Failed(f"{fault.name}: {case.action} reports success")
         on.mend(fault)
-        await on.recover()
-        await on.check_works_again(case)
+        await on.check_recovers(case)
         await _strike_in_motion(on, case, (fault,))
     if len(on.torture.faults) > 1:
         await _strike_in_motion(on, case, on.torture.faults[:2])
@@ -132,8 +130,7 @@ async def _check_stopping(on: Session, command: str) -> None:
         other = await on.ask_for(case)
         if other.reply.status != "refused":
             raise Failed(f"after an emergency stop it accepts {case.action}")
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def _stop_midway(on: Session, case: Case, command: str) -> tuple[Attempt, AdminReply, Outcome]:
@@ -167,8 +164,7 @@ async def unplug_before(on: Session) -> None:
         raise Failed(
             f"unplugged, {case.action} reports effects = {outcome.effects}: {outcome.error or 'success'}"
         )
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def unplug_during(on: Session) -> None:
@@ -191,8 +187,7 @@ async def unplug_after(on: Session) -> None:
         await on.kernel.admin("observe", END_S)
         await on.kernel.resources()
     relay.plug()
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def lose_reply(on: Session) -> None:
@@ -219,8 +214,7 @@ async def delay_reply(on: Session) -> None:
             done = await on.begin_to_middle(case)
             relay.spoil("hold")
         else:
-            await on.fulfil(case)
-            on.lay(case)
+            await on.prepare(case)
             relay.spoil("hold")
             done = await on.ask_for(case)
         await on.kernel.outcome(done.start, HELD_S)
@@ -247,8 +241,7 @@ async def _find_orders(on: Session) -> list[bytes]:
     Failed."""
     case, relay = on.choose_motion(), _require_relay(on)
     if on.orders is None:
-        await on.fulfil(case)
-        on.lay(case)
+        await on.prepare(case)
         relay.questions.clear()
         await on.kernel.admin("observe", END_S)
         await on.recover()
@@ -263,8 +256,7 @@ async def _find_orders(on: Session) -> list[bytes]:
 async def _spoil_one_reply(on: Session, mode: Mode, order: bytes, stray: bytes = b"") -> None:
     """Spoil the reply to one message, as soon as the driver sends the message."""
     case, relay = on.choose_motion(), _require_relay(on)
-    await on.fulfil(case)
-    on.lay(case)
+    await on.prepare(case)
     relay.spoil(mode, times=1, to=order, stray=stray)
     done = await on.ask_for(case)
     outcome = await on.end(done)
@@ -277,8 +269,7 @@ async def _spoil_one_reply(on: Session, mode: Mode, order: bytes, stray: bytes =
 
 async def _spoil_reply(on: Session, mode: Mode) -> None:
     case, relay = on.choose_motion(), _require_relay(on)
-    await on.fulfil(case)
-    on.lay(case)
+    await on.prepare(case)
     relay.spoil(mode, times=1)
     done = await on.ask_for(case)
     outcome = await on.end(done)
@@ -306,14 +297,11 @@ def _check_spoiled(relay: Relay) -> None:
 async def _settle(on: Session, done: Attempt, outcome: Outcome) -> None:
     """After a fault of the line: repair it, compare the outcome with the bench, let the driver observe and
     reset, and check that it works."""
-    relay = _require_relay(on)
-    relay.restore()
-    relay.plug()
+    on.repair_line()
     await on.await_rest()
     await on.judge(done, outcome)
     await observe_bench(on, done)
-    await on.recover()
-    await on.check_works_again(done.case)
+    await on.check_recovers(done.case)
 
 
 async def power_cycle(on: Session) -> None:
@@ -322,13 +310,11 @@ async def power_cycle(on: Session) -> None:
     require_wire(on)
     on.switch_off()
     on.switch_on()
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
     done = await on.interrupt(case, on.switch_off)
     await on.end(done)
     on.switch_on()
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def restart_device(on: Session) -> None:
@@ -339,8 +325,7 @@ async def restart_device(on: Session) -> None:
     done = await on.interrupt(case, on.switch_off_between_answers)
     on.switch_on()
     await on.end(done)
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def cut_power(on: Session) -> None:
@@ -358,8 +343,7 @@ async def cut_power(on: Session) -> None:
     outcome = await on.kernel.outcome(done.start, END_S)
     await on.await_rest()
     await _check_reconciled(on, done, outcome)
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
 
 
 async def kill_node(on: Session) -> None:
@@ -373,8 +357,7 @@ async def kill_node(on: Session) -> None:
     await _kill_and_start(on, done)
     if on.is_wired:
         await on.slow_both_down(1.0)
-    await on.recover()
-    await on.check_works_again(case)
+    await on.check_recovers(case)
     done = await on.begin(case)  # between its journal and its device, or shortly after
     await _kill_and_start(on, done)
     await on.recover()
@@ -383,8 +366,7 @@ async def kill_node(on: Session) -> None:
         on.kill()
         on.strike(fault)
         await _kill_and_start(on, done, fault)
-        await on.recover()
-    await on.check_works_again(case)
+        await on.check_recovers(case)
 
 
 async def _kill_and_start(on: Session, done: Attempt, fault: Fault | None = None) -> None:
@@ -419,7 +401,7 @@ async def _check_reconciled(on: Session, done: Attempt, outcome: Outcome | None)
     """Check that the outcome which a restarted node reports for an attempt is true, and that nothing was done
     twice. Raises Failed."""
     deeds, expected = on.list_deeds(done), on.reference[key_of(done.case)]
-    if twice := {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}:
+    if twice := find_repeated(deeds, expected):
         raise Failed(f"after the restart, it repeated: {describe_deeds(twice)}")
     if outcome is not None:
         await on.judge(done, outcome)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.effects import Carrying, Sets
-from labos.torture.bench import read_presence
 from labos.torture.session import Attempt, Failed, Session, key_of
 
 
@@ -14,8 +13,11 @@ async def observe_bench(on: Session, done: Attempt) -> None:
     false."""
     reply = await on.kernel.admin("observe")
     seen: dict[str, Any] = reply.result if reply.done and isinstance(reply.result, dict) else {}
-    labware = seen.get("labware")
-    sights = {on.bench.place(str(place)): read_presence(what) for place, what in (labware or {}).items()}
+    # A sensor that cannot tell says None.
+    sights = {
+        on.bench.place(str(place)): None if what is None else bool(what)
+        for place, what in (seen.get("labware") or {}).items()
+    }
     for place, there in sights.items():
         if there is not None and there != bool(on.bench.world.at(place)):
             raise Failed(

@@ -84,7 +84,7 @@ class Spoiler:
             self._mode, self._left, self._to, self._stray = mode, times, to, stray
             self.spoiled_count = 0
 
-    def hear(self, data: bytes) -> None:
+    def receive(self, data: bytes) -> None:
         """The driver has sent these bytes."""
         kind = _DIGITS.sub(b"#", data)[:LONGEST_KIND]
         with self._lock:
@@ -126,6 +126,8 @@ class Spoiler:
                 write(self.garble(data))
             case "cut":
                 write(data[: len(data) // 2])
+            case "lose" | "hold":
+                pass
         return mode
 
     def garble(self, data: bytes) -> bytes:
@@ -202,7 +204,7 @@ class LineRelay(Spoiler):
                 self._awaits_answer = back is not None
             if back is not None:
                 with contextlib.suppress(LinkError):
-                    self.hear(data)
+                    self.receive(data)
                     back.write(data, 1.0)
 
     def _carry_to_driver(self) -> None:
@@ -265,7 +267,7 @@ class TcpRelay(Spoiler):
 
     def _make_asker(self, far: socket.socket) -> Write:
         def ask(data: bytes) -> None:
-            self.hear(data)
+            self.receive(data)
             far.sendall(data)
 
         return ask

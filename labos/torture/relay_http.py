@@ -46,27 +46,27 @@ class HttpRelay(TcpRelay):
 
 def split_answers(line: socket.socket) -> Iterator[bytes]:
     """The answers one after the other, each with its head; the last one may be incomplete."""
-    heard = b""
+    received = b""
     while True:
-        while HEAD_END not in heard:
+        while HEAD_END not in received:
             if not (piece := line.recv(65536)):
-                if heard:
-                    yield heard
+                if received:
+                    yield received
                 return
-            heard += piece
-        size = _read_size(heard)
-        while size is None or len(heard) < size:
+            received += piece
+        size = _read_size(received)
+        while size is None or len(received) < size:
             if not (piece := line.recv(65536)):
-                yield heard
+                yield received
                 return
-            heard += piece
-        yield heard[:size]
-        heard = heard[size:]
+            received += piece
+        yield received[:size]
+        received = received[size:]
 
 
-def _read_size(heard: bytes) -> int | None:
+def _read_size(received: bytes) -> int | None:
     """The total number of bytes of an answer; None if only the end of the connection shows it."""
-    head = heard.partition(HEAD_END)[0]
+    head = received.partition(HEAD_END)[0]
     bare = len(head) + len(HEAD_END)
     if head.split(b" ", 2)[1:2] in ([status] for status in BODILESS):
         return bare

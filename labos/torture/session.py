@@ -22,7 +22,7 @@ from labos.node.protocol import ActionReply, Outcome, SetupReply, Start
 from labos.node.torture import Case, Fault, Torture, WiredDevice
 from labos.node.world import World
 from labos.settings import Settings
-from labos.torture.bench import POLL_S, Bench, Deeds, describe_deeds
+from labos.torture.bench import POLL_S, Bench, Deeds, describe_deeds, find_repeated
 from labos.torture.cases import cases_of, moves_labware, works_a_gate
 from labos.torture.kernel import Kernel
 from labos.torture.relay import Relay
@@ -284,10 +284,14 @@ class Session:
 
     # -- actions -----------------------------------------------------------------------------
 
-    async def begin(self, case: Case) -> Attempt:
-        """Prepare the bench and the module for a case, and request its action."""
+    async def prepare(self, case: Case) -> None:
+        """Prepare the module and the bench for a case. Raises Failed."""
         await self.fulfil(case)
         self.lay(case)
+
+    async def begin(self, case: Case) -> Attempt:
+        """Prepare the bench and the module for a case, and request its action."""
+        await self.prepare(case)
         return await self.ask_for(case)
 
     async def ask_for(self, case: Case) -> Attempt:
@@ -297,9 +301,13 @@ class Session:
         start = self.kernel.request(case.action, case.args)
         return Attempt(case, start, since, await self.kernel.send(start))
 
+    async def await_outcome(self, done: Attempt) -> Outcome | None:
+        """Its outcome, without a look at the bench; None if it has none."""
+        return done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+
     async def end(self, done: Attempt) -> Outcome:
         """Wait for its outcome and compare that with the bench. Raises Failed."""
-        outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+        outcome = await self.await_outcome(done)
         if outcome is None:
             reply = await self.kernel.ask(done.start)
             if reply.status != "interrupted":
@@ -353,8 +361,7 @@ class Session:
                 f"{name} reports that all was done; it should have done {describe_deeds(expected)}, "
                 f"it did {describe_deeds(deeds)}"
             )
-        twice = {deed: n for deed, n in deeds.items() if deed in expected and n > expected[deed]}
-        if twice:
+        if twice := find_repeated(deeds, expected):
             raise Failed(
                 f"{name} did more than was requested: {describe_deeds(twice)} in place of "
                 f"{describe_deeds(expected)}"
@@ -393,7 +400,7 @@ class Session:
             await self.fulfil(case, depth + 1)
             self.lay(case)
             done = await self.ask_for(case)
-            outcome = done.reply.outcome or await self.kernel.outcome(done.start, END_S)
+            outcome = await self.await_outcome(done)
             if outcome is None or not outcome.succeeded:
                 why = outcome.error if outcome is not None else done.reply.why
                 raise Failed(f"{case.action} fails: {why}")
@@ -499,18 +506,21 @@ class Session:
         """Give the device power and repair the line; returns whether the device had to be switched on."""
         if self.relay is None:
             return False
-        self.relay.restore()
-        self.relay.plug()
+        self.repair_line()
         if wrong := not self.powered or self.slowness != 1.0:
             self.slow_down(1.0)
         return wrong
 
-    async def recover(self) -> None:
-        """Recover from a failure as a person does: repair the line, wait, clear the bench, reset. Raises
-        Failed if the module is then not IDLE, or if the reset caused other motions."""
+    def repair_line(self) -> None:
+        """Plug the line in, if there is one, and spoil nothing on it any more."""
         if self.relay is not None:
             self.relay.restore()
             self.relay.plug()
+
+    async def recover(self) -> None:
+        """Recover from a failure as a person does: repair the line, wait, clear the bench, reset. Raises
+        Failed if the module is then not IDLE, or if the reset caused other motions."""
+        self.repair_line()
         await self.await_rest()
         self.clear()
         before = self.bench.mark()
@@ -538,6 +548,11 @@ class Session:
         if await self.kernel.await_state(lambda state: state.status == "IDLE", REST_S) is None:
             state = await self.kernel.state()
             raise Failed(f"it stays {state.status}{f': {state.error}' if state.error else ''}")
+
+    async def check_recovers(self, case: Case) -> None:
+        """Recover, and carry out a case once more. Raises Failed."""
+        await self.recover()
+        await self.check_works_again(case)
 
     async def check_works_again(self, case: Case) -> None:
         """Carry out a case once more after a recovery. Raises Failed."""

@@ -64,7 +64,7 @@ class BareNode:
     async def _end(self, start: Start) -> None:
         outcome = Outcome(True, "all")
         self._journal.end(start.action, start.attempt, outcome)
-        told = ResultPublished(start.action, start.attempt, self._journal.id, outcome)
+        told = ResultPublished(start.action, start.attempt, self._journal.memory.id, outcome)
         await self._bus.publish(f"bare/{self._name}/result", _encode(told))
         await self._journal.sync()
 

@@ -8,9 +8,9 @@ from typing import get_args
 
 import msgspec
 
-from labos.core.machines import MACHINES, Transition, list_arrows
 from labos.core.reasons import AnyReason
 from labos.core.topics import AnyTopic
+from tests.support.machines import MACHINES, Transition, list_arrows
 from tests.support.topics import TOPICS
 
 Table = Callable[[tuple[str, ...], Iterable[tuple[str, ...]]], str]
@@ -46,7 +46,7 @@ def waits(table: Table) -> str:
             f"`{kind.__struct_config__.tag}`",
             _mark_names(kind.SENTENCE),
             _mark_names(kind.REMEDY) or ("by status, see below" if "remedy" in vars(kind) else ""),
-            str(kind.URGENCY),
+            "it passes by itself" if kind.PASSES else "a person has to act",
             ", ".join(kind.WAKES),
         )
         for kind in get_args(AnyReason)

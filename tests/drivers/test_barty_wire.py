@@ -230,13 +230,13 @@ def test_a_lost_answer_leaves_no_doubt(
     async def body() -> None:
         node = node_at(pumps)
         await node.connect()
-        said = pumps.say
+        said = pumps.send
 
         def lossy(data: bytes) -> None:
             if data[:1] != bytes((protocol.PROCR,)):
                 said(data)
 
-        pumps.say = lossy  # type: ignore[method-assign]
+        pumps.send = lossy  # type: ignore[method-assign]
         await node.fill([3], amount=5)
         await node.close()
 

@@ -199,7 +199,7 @@ async def serve(lab: Lab, package: str) -> NodeServer:
     bus = await lab.bus()
     server = NodeServer(kind(setup), bus, LAB, journal, SystemClock(), Uuid7Ids(), settle_s=0.02)
     await server.start()
-    lab.kernel.journal = journal.id
+    lab.kernel.journal = journal.memory.id
     return server
 
 

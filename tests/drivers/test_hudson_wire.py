@@ -264,7 +264,7 @@ def test_late_and_garbled_answers_are_no_answers(
             arm.end.write(b"0000 late\r\n")
             monkeypatch.setattr(arm, "_obey", obey)
             assert await node.observe() == {"labware": {"gripper": False}}
-            monkeypatch.setattr(arm, "_obey", lambda line: arm.say(b"ATS\r\n"))
+            monkeypatch.setattr(arm, "_obey", lambda line: arm.send(b"ATS\r\n"))
             with pytest.raises(Garbled, match="does not tell where the fingers are"):
                 await node.observe()
 
@@ -328,9 +328,9 @@ def test_data_may_come_on_a_later_line(
     data = arm._send_data
 
     def late(text: str) -> None:
-        arm.say(noise.encode() + b"\r\n")
+        arm.send(noise.encode() + b"\r\n")
         data(text)
-        arm.say(b"0000 Success\r\n")
+        arm.send(b"0000 Success\r\n")
 
     monkeypatch.setattr(arm, "_send_data", late)
 
@@ -351,7 +351,7 @@ def test_a_status_that_is_not_known_is_not_ready(
     world.stock(place(kind, STACK[kind]), "plate")
     obey = arm._obey
     monkeypatch.setattr(
-        arm, "_obey", lambda line: arm.say(f"0000 {status}\r\n".encode()) if line == "STATUS" else obey(line)
+        arm, "_obey", lambda line: arm.send(f"0000 {status}\r\n".encode()) if line == "STATUS" else obey(line)
     )
 
     async def body() -> None:
@@ -373,7 +373,7 @@ def say_both(arm: HudsonOnWire, monkeypatch: pytest.MonkeyPatch) -> None:
     """From now on the sensors of its fingers say that these are open and shut at once."""
     obey = arm._obey
     both = "GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"
-    monkeypatch.setattr(arm, "_obey", lambda line: arm.say(b"true\r\n") if line in both else obey(line))
+    monkeypatch.setattr(arm, "_obey", lambda line: arm.send(b"true\r\n") if line in both else obey(line))
 
 
 def test_fingers_that_are_open_and_shut_are_not_empty(

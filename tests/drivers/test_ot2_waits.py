@@ -51,7 +51,7 @@ def on_the_bus(folder: Path, robot: OT2OnWire, scenario: Callable[[Bench], Await
             server = NodeServer(node, bus, LAB, journal, SystemClock(), Uuid7Ids(), files=files, **often)
             await server.start()
             stack.push_async_callback(server.close)
-            here.kernel.journal = server.journal.id
+            here.kernel.journal = server.journal.memory.id
             await asyncio.wait_for(scenario(here), 30.0)
 
     asyncio.run(main())

@@ -261,7 +261,7 @@ def test_a_question_that_fails_before_a_motion_has_no_effects(arm: PF400OnWire) 
     async def body() -> None:
         async with drive(arm) as node:
             arm._lines.clear()
-            arm._profile = lambda words: arm.say(b"noise\r\n")  # type: ignore[method-assign]
+            arm._profile = lambda words: arm.send(b"noise\r\n")  # type: ignore[method-assign]
             with pytest.raises(Garbled) as told:
                 await node.transfer("sealer.default", "ot2.deck2")
             assert told.value.effects == "none"
@@ -389,18 +389,18 @@ def test_behind_wait_for_eom_a_halt_is_not_heard(world: World) -> None:
         power_on(PF400OnWire, "pf400", world, told=TOLD, pace=20) as arm,
         socket.create_connection(parse_host_port(arm.address, 0)) as line,
     ):
-        heard = line.makefile("rb")
+        received = line.makefile("rb")
         line.sendall(b"movej 1 300 1.4 177.101 537.107 90 800\n")
-        assert heard.readline() == b"0\r\n"
+        assert received.readline() == b"0\r\n"
         line.sendall(b"waitForEom\nhalt\nwherej\n")
-        assert [heard.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
-        assert heard.readline().endswith(b" 800.000\r\n")
+        assert [received.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
+        assert received.readline().endswith(b" 800.000\r\n")
         line.sendall(b"movej 1 400 1.4 177.101 537.107 90 0\nhalt\nwherej\n")
-        assert [heard.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
-        assert float(heard.readline().split()[-1]) > 1
+        assert [received.readline() for _ in range(2)] == [b"0\r\n", b"0\r\n"]
+        assert float(received.readline().split()[-1]) > 1
         line.sendall(b"foo\nmovej 1 900 1.4 177.101 537.107 90 0\n")
-        assert heard.readline().startswith(b"-2805 ")
-        assert heard.readline().startswith(b"-1012 ")
+        assert received.readline().startswith(b"-2805 ")
+        assert received.readline().startswith(b"-1012 ")
 
 
 def answer_with(*answers: bytes) -> tuple[TcpEnd, threading.Thread]:

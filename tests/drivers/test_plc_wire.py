@@ -21,8 +21,9 @@ from labos.torture import torture
 from labos_drivers.plc import driver
 from labos_drivers.plc.interface import HATCH, Plc
 from labos_drivers.plc.torture import close_door, open_door
-from labos_drivers.plc.wire import Hatch, HatchOnLine, HatchOnTcp
+from labos_drivers.plc.wire import Hatch, HatchOnTcp
 from tests.docs.markdown import ROOT, blocks
+from tests.drivers.plc_rtu import HatchOnLine
 from tests.drivers.wires import power_on, run, setup_of, until
 
 PAGE = ROOT / "docs" / "drivers" / "plc.md"

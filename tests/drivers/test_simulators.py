@@ -439,12 +439,12 @@ def test_pumps_spill_over_the_brim_and_remember(bench: Bench, world: World) -> N
         await barty.fill_all(amount=60)
         await barty.refill_ink(["motor_1"], amount=5)
         again = await bench.start(Barty, "barty")
-        assert again.device.reservoirs == {0: 65.0, 1: 60.0, 2: 60.0, 3: 60.0}
+        assert again.device.tanks.reservoirs == {0: 65.0, 1: 60.0, 2: 60.0, 3: 60.0}
         await again.drain([1])
         with pytest.raises(Crash, match="spills"):
             await again.fill([0], amount=90)
         await again.drain_all()
-        assert again.device.reservoirs == dict.fromkeys(range(4), 0.0)
+        assert again.device.tanks.reservoirs == dict.fromkeys(range(4), 0.0)
 
     asyncio.run(body())
 

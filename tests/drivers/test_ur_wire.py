@@ -295,7 +295,7 @@ def test_garbled_and_late_answers_are_no_answers(arm: UROnWire, monkeypatch: pyt
             with pytest.raises(Garbled, match="no state of a program"):
                 await node.is_idle()
             monkeypatch.setattr(ur_driver, "ANSWER_S", 0.1)
-            monkeypatch.setattr(arm, "hear", lambda data: None)
+            monkeypatch.setattr(arm, "receive", lambda data: None)
             with pytest.raises(DeviceError, match="does not answer"):
                 await node.is_idle()
             monkeypatch.undo()
@@ -386,7 +386,7 @@ def test_the_receiver_of_ur_rtde_reads_its_state(world: World) -> None:
                 arm.inputs.add(rtde.TOOL_INPUTS)
                 assert told.readline() == f"{1 << rtde.TOOL_INPUTS}\n"
                 arm._load("wave.urp")
-                arm.after(0, lambda: arm.say(arm._play().encode()))
+                arm.after(0, lambda: arm.send(arm._play().encode()))
                 assert told.readline() == "2 True\n"
                 assert told.readline() == "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0] -1.57\n"
             finally:

@@ -18,14 +18,14 @@ from sqlalchemy import create_engine, text
 from labos.cli.app import group
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.canonical import digest, encode_canonical
-from labos.core.envelope import GENESIS, Record, seal
+from labos.core.envelope import GENESIS, Record, check_chain, seal
 from labos.core.ids import LabId
 from labos.errors import LogTooNew
 from labos.ports import Head
 from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings
 from labos.runtime.writer import ThreadWriter
-from labos.store import check_chain, find_first_damage, migrate, open_store, read_segment, restore_log
+from labos.store import find_first_damage, migrate, open_store, read_segment, restore_log
 from tests.golden.make import MAKERS, views
 
 FOLDER = Path(__file__).parent

@@ -98,7 +98,7 @@ def _module(module: Module) -> dict[str, Any]:
         "variables": {name: [known.value, known.by] for name, known in module.variables.items()},
         "setpoints": {name: [held.value, list(held.holders)] for name, held in module.setpoints.items()},
         "in_flight": {name: flight.exclusive for name, flight in module.in_flight.items()},
-        "taught": {n: [t.any_type.pose, t.any_type.proven] for n, t in module.taught.items() if t.any_type},
+        "taught": {n: [by[""].pose, by[""].proven] for n, by in module.taught.items() if "" in by},
         "failures": [failure.what for failure in module.failures],
     }
 

@@ -8,7 +8,6 @@ from labos.core.ids import RunId, experiment_owner
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.planning.obstacle import find_obstacle
 from labos.planning.scheduler import Scheduler
 
@@ -64,7 +63,7 @@ class _Search:
 
     def _behind(self, run: RunState, wait: Wait, seen: set[str]) -> set[str]:
         if wait.blocked and wait.code in KIND_OF:
-            return {f"{KIND_OF[wait.code]}, {wait.code}: {describe_wait(wait)}"}
+            return {f"{KIND_OF[wait.code]}, {wait.code}: {wait.reason.sentence}"}
         found: set[str] = set()
         cause = find_obstacle(self.scheduler.safety, self.state, run) if wait.code == "no_way_out" else ""
         for other in self._list_named((*wait.names, *cause.replace("experiment ", "experiment:").split())):

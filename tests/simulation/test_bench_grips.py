@@ -10,7 +10,6 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName, local
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow
 from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET
@@ -84,7 +83,7 @@ def test_who_cannot_be_held_waits_and_says_why() -> None:
         found = binding.bind(state, run, state.runs.plan_of(run).steps[step])
         assert isinstance(found, Wait)
         assert found.blocked
-        assert describe_wait(found) == "pf400 cannot hold pcr96 wide at hidex.default, only narrow"
+        assert found.reason.sentence == "pf400 cannot hold pcr96 wide at hidex.default, only narrow"
 
 
 def test_the_grip_that_a_station_leaves_is_chosen_and_changed_on_the_way() -> None:

@@ -11,7 +11,6 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import StationName
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.spec import compile_workflow, find_spec, parse_workcell, parse_workflow, validate_workflow
 from labos.spec.bench import BenchFile, Stock
 from labos.testing.faults import QUIET, STORMY, FaultRates
@@ -117,7 +116,7 @@ def test_what_is_known_only_then_waits_and_says_why() -> None:
         found = binding.bind(state, run, state.runs.plan_of(run).steps[0])
         assert isinstance(found, Wait)
         assert (
-            describe_wait(found)
+            found.reason.sentence
             == "P1 would lie turned by 0 degrees at hidex.default, which takes it turned by 90"
         )
     finally:

@@ -41,8 +41,8 @@ class Table:
 class Facility(SimulatedLab):
     """A lab whose kernels feed campaigns; its user submits one and waits for its end."""
 
-    def _serve(self, kernel: Kernel) -> None:
-        Feeder(kernel, Table().propose).start()
+    async def _serve(self, kernel: Kernel) -> None:
+        await Feeder(kernel, Table().propose).start()
 
     async def _act_as_user(self, job: Job) -> None:
         submit = SubmitCampaign(

@@ -26,7 +26,7 @@ class FastLab(SimulatedLab):
         super().__init__(cell("sealing").stand, 0, QUIET, plan_with=make_searching_scheduler)
         self.turns = turns
 
-    def _serve(self, kernel: Kernel) -> None:
+    async def _serve(self, kernel: Kernel) -> None:
         clock = kernel.clock
         assert isinstance(clock, VirtualClock)
 

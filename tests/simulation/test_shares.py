@@ -64,7 +64,7 @@ class Facility(Driver):
         again = True
         while again:
             again = False
-            for campaign in [c for c in self.state.campaigns.open.values() if c.takes_rows]:
+            for campaign in [c for c in self.state.campaigns.open.values() if c.room]:
                 command = SubmitRow(campaign.id, campaign.next_row, self.plan_of(campaign.next_row))
                 again = isinstance(self.ask(command), list) or again
 

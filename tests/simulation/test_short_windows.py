@@ -8,7 +8,6 @@ import pytest
 from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ActionId
 from labos.core.model import Plan, Window
-from labos.planning.explain import describe_wait
 from tests.benchmarks.windows import Count, count
 from tests.simulation.clocked import Instance, judge, one_by_one, run_planned
 from tests.support.bench import SECOND, Driver, hold, move, plan, small, step, take
@@ -73,7 +72,7 @@ def make_dosed(takes_s: float, within_s: float) -> Plan:
 
 def why(lab: Driver, run: str, index: int = 0) -> str:
     wait = lab.scheduler.check_start(lab.state, lab.run(run), index, lab.now, only_asking=True)
-    return "" if wait is None else describe_wait(wait)
+    return "" if wait is None else wait.reason.sentence
 
 
 @pytest.mark.parametrize("within_s", [1.0, 20.0, 179.0])

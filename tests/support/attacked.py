@@ -113,8 +113,8 @@ class Attacked:
         await self.registry.start()
         stack.push_async_callback(self.registry.close)
         for part in (Reconciler(self.kernel, self.bus, answer_s=answer_s), Verifier(self.kernel, self.bus)):
-            part.start()
-            stack.callback(part.close)
+            await part.start()
+            stack.push_async_callback(part.close)
         await self.kernel.execute(ApplyWorkcell(CELL), "ada")
         for place in CELL.places:
             labware = ("plate",) * 9 if place.kind == "stack" else ()

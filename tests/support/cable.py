@@ -57,7 +57,7 @@ class Cable:
             deaf = threading.Event()
             back = threading.Thread(target=_pump, args=(far, near, deaf.is_set), daemon=True)
             back.start()
-            _pump(near, far, hear=lambda data: self._listen_to(data, deaf))
+            _pump(near, far, receive=lambda data: self._listen_to(data, deaf))
             back.join()
 
     def _listen_to(self, data: bytes, deaf: threading.Event) -> None:
@@ -70,11 +70,11 @@ def _pump(
     source: socket.socket,
     target: socket.socket,
     drop: Callable[[], bool] = lambda: False,
-    hear: Callable[[bytes], None] = lambda data: None,
+    receive: Callable[[bytes], None] = lambda data: None,
 ) -> None:
     with contextlib.suppress(OSError):
         while data := source.recv(65536):
-            hear(data)  # before it is passed on: its answer is not to come through
+            receive(data)  # before it is passed on: its answer is not to come through
             if not drop():
                 target.sendall(data)
     with contextlib.suppress(OSError):

@@ -15,7 +15,7 @@ class SilentServer:
 
     def __init__(self, begins: bytes = b"") -> None:
         self._begins = begins
-        self.heard, self._over = threading.Event(), threading.Event()
+        self.received, self._over = threading.Event(), threading.Event()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.port = int(self._server.getsockname()[1])
         self._kept: list[socket.socket] = []
@@ -46,7 +46,7 @@ class SilentServer:
     def _read(self, near: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while near.recv(65536):
-                self.heard.set()
+                self.received.set()
                 if self._begins:
                     self._drip(near)
 

@@ -63,7 +63,7 @@ class _Session:
             config.insert_json5(key, json.dumps(value))
         self._session: Any = zenoh.open(config)
         self._declared: list[Any] = []
-        self._heard: list[str] = []
+        self._received: list[str] = []
 
     def answer(self, key: str) -> None:
         """Serve a key."""
@@ -71,7 +71,7 @@ class _Session:
 
         def reply(query: Any) -> None:
             with query:
-                self._heard.append(str(query.key_expr))
+                self._received.append(str(query.key_expr))
                 query.reply(query.key_expr, ANSWER)
 
         self._declared.append(
@@ -91,11 +91,11 @@ class _Session:
         from zenoh.handlers import Callback
 
         def note(sample: Any) -> None:
-            self._heard.append(str(sample.key_expr))
+            self._received.append(str(sample.key_expr))
 
-        hear: Any = Callback(note, indirect=False)
-        self._declared.append(self._session.declare_subscriber(keys, hear))
-        self._declared.append(self._session.liveliness().declare_subscriber(keys, hear, history=True))
+        receive: Any = Callback(note, indirect=False)
+        self._declared.append(self._session.declare_subscriber(keys, receive))
+        self._declared.append(self._session.liveliness().declare_subscriber(keys, receive, history=True))
         self._settle()
 
     def get(self, key: str, payload: str) -> list[str]:
@@ -104,14 +104,14 @@ class _Session:
 
     def list_heard(self) -> list[str]:
         self._settle()
-        return self._heard
+        return self._received
 
     def rest(self) -> None:
         """Take everything back."""
         for declared in self._declared:
             declared.undeclare()
         self._declared.clear()
-        self._heard.clear()
+        self._received.clear()
         self._settle()
 
     def close(self) -> None:

@@ -90,10 +90,9 @@ class SealerDriver(Wired):
             return
         self._pass_over_acceptance()
         why = "is busy" if answer[:1] == b"X" else "does not take the command"
-        raise DeviceError(
-            f"{self.name}: the sealer {why} {name.decode()} ({answer.decode('ascii', 'replace')}).",
-            effects="none",
-            remedy="Look at its display, then reset the module.",
+        raise self.make_refusal(
+            f"the sealer {why} {name.decode()} ({answer.decode('ascii', 'replace')})",
+            "Look at its display, then reset the module.",
         )
 
     def _pass_over_acceptance(self) -> None:
@@ -153,11 +152,10 @@ class SealerDriver(Wired):
             if near and status.heater in (protocol.READY, protocol.CONVERGING):
                 return
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"{self.name}: the block is at {status.temperature_c:g} °C after {limit_s:g} s, not at "
-                    f"{temperature_c:g} °C.",
-                    effects="none",
-                    remedy="Check the heater.",
+                raise self.make_refusal(
+                    f"the block is at {status.temperature_c:g} °C after {limit_s:g} s, not at "
+                    f"{temperature_c:g} °C",
+                    "Check the heater.",
                 )
 
     def _wait(self, what: str, limit_s: float, reached: Any, *, fails: bool = True) -> Status:
@@ -194,7 +192,7 @@ class SealerDriver(Wired):
         elif not status.has(protocol.DOOR):
             why, remedy = "its cleaning door is open", "Close the door."
         if why:
-            raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
+            raise self.make_refusal(f"{why}", remedy)
 
     # -- what the device says by itself ------------------------------------------------------
 

@@ -16,11 +16,8 @@ class SealerSimulator(Simulated):
         nest = self.place("default")
         with self.motion(drawn_in=True):
             await self.take_time(11 + (time_s - USUAL_TIME_S))
-            plate = self.top(nest)
-            if plate and self.is_sealed(plate):
-                self.world.crash(self.name, nest, "seals a sealed plate")
-            if plate and self.is_lidded(plate):
-                self.world.crash(self.name, nest, "seals a lid")
+            self.crash_if_sealed(nest, "seals a sealed plate")
+            self.crash_if_lidded(nest, "seals a lid")
             self.world.use(self.name, "foil", 1)
             self.world.work(self.name, "seal", nest, time_s=time_s, temperature_c=temperature_c)
             await self.take_time(14)

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Foreign, Torture, World
+from labos.node import Case, Fault, Foreign, Torture
+from labos_drivers._torture import refill, remove_plate, use_up
 from labos_drivers.a4s_sealer.wire import SealerOnWire
 
 HERE = "labos_drivers.a4s_sealer.driver"
-
-
-def _use_up_foil(sealer: SealerOnWire, world: World) -> None:
-    world.supply(sealer.name, "foil", -(world.find_level(sealer.name, "foil") or 0.0))
-
-
-def _insert_roll(sealer: SealerOnWire, world: World) -> None:
-    world.supply(sealer.name, "foil", 1000)
 
 
 TORTURE = Torture(
@@ -26,9 +19,9 @@ TORTURE = Torture(
         ),
     ),
     faults=(
-        Fault("out of foil", _use_up_foil, _insert_roll),
+        Fault("out of foil", use_up("foil"), refill("foil", 1000)),
         Fault.by_setting("its cleaning door is open", "door_is_shut", to=False, back=True),
-        Fault("an empty nest, in which it jams", lambda sealer, world: world.carry(_find_plate(sealer), "")),
+        Fault("an empty nest, in which it jams", remove_plate("default")),
     ),
     waits={
         f"{HERE}:RECORD_S": 4.0,
@@ -38,7 +31,3 @@ TORTURE = Torture(
     },
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),
 )
-
-
-def _find_plate(sealer: SealerOnWire) -> str:
-    return sealer.top(sealer.place("default"))

@@ -43,22 +43,22 @@ class SealerOnWire(OnWire):
         self._since_s = 0.0
         self._press_s = 3.0
         self._cycle_ends_s = 0.0
-        self._heard = b""
+        self._received = b""
         self._goal, self._ways, self._cycle = protocol.SHUTTLE_OUT, 0, False
 
     def power_on(self) -> None:
         self._stream()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while self._heard:
-            if match := COMMAND.match(self._heard):
-                self._heard = self._heard[match.end() :]
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while self._received:
+            if match := COMMAND.match(self._received):
+                self._received = self._received[match.end() :]
                 self._obey(match["name"].decode(), int(match["argument"] or 0))
-            elif (match := REST.match(self._heard)) and match.end():
-                self._heard = self._heard[match.end() :]
+            elif (match := REST.match(self._received)) and match.end():
+                self._received = self._received[match.end() :]
                 if match[0].startswith(b"*"):
                     self._send_answer(b"N01")
             else:
@@ -136,11 +136,8 @@ class SealerOnWire(OnWire):
         if self._find_foil_left() < 1:
             self._fail(FOIL_GONE)
             return
-        plate = self.top(nest)
-        if plate and self.is_sealed(plate):
-            self.world.crash(self.name, nest, "seals a sealed plate")
-        if plate and self.is_lidded(plate):
-            self.world.crash(self.name, nest, "seals a lid")
+        self.crash_if_sealed(nest, "seals a sealed plate")
+        self.crash_if_lidded(nest, "seals a lid")
         self.world.use(self.name, "foil", 1)
         self.world.work(
             self.name, "seal", nest, time_s=self._press_s, temperature_c=round(self._compute_temperature())
@@ -212,14 +209,14 @@ class SealerOnWire(OnWire):
 
     def _send_status(self) -> None:
         self._send_record(self.make_status().body())
-        self.say(b"\r")
+        self.send(b"\r")
 
     def _send_answer(self, body: bytes) -> None:
         self._send_record(self.make_status().body())
         self._send_record(body)
         if body.startswith(b"N") and self.rejects_twice:
             self._send_record(b"Y00")
-        self.say(b"\r")
+        self.send(b"\r")
 
     def _send_record(self, body: bytes) -> None:
-        self.say(b"*" + body + check_sum(body) + b"!")
+        self.send(b"*" + body + check_sum(body) + b"!")

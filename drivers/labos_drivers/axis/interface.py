@@ -9,11 +9,11 @@ import msgspec
 from labos.core.effects import Sets
 from labos.core.model import ActionSpec, Arg, Description
 from labos.errors import DeviceError, OutcomeUnknown
-from labos.node import Node, Param, Requires, Setup, action
+from labos.node import Node, Param, Requires, action
 from labos.node.mapping import DriverTable, read_table
 from labos.node.node import INTERRUPTED
 from labos_drivers._simulation import await_answer
-from labos_drivers._wired import OnBenchOrWire
+from labos_drivers._wired import ReportsTrouble
 from labos_drivers.axis.driver import AxisDriver, Goal
 from labos_drivers.axis.simulator import AxisSimulator
 from labos_drivers.axis.table import KEY, STAGE, AxisTable, find_flaws
@@ -22,7 +22,7 @@ from labos_drivers.axis.wire import DriveOnSlcan
 NEVER_SENT = "The node was restarted before the drive was told to start."
 
 
-class Axis(OnBenchOrWire):
+class Axis(ReportsTrouble):
     """Axis behind a CANopen drive (CiA 402)."""
 
     driver = KEY
@@ -30,10 +30,6 @@ class Axis(OnBenchOrWire):
     variables = {"homed": False, "position": 0.0}
     own: ClassVar[AxisTable] = STAGE
     device: AxisSimulator | AxisDriver
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._reported = self._reported_before = ""
 
     @classmethod
     def describe(cls) -> Description:
@@ -110,18 +106,6 @@ class Axis(OnBenchOrWire):
             raise DeviceError(NEVER_SENT, effects="none")
         with device.motion():
             await device.await_end(msgspec.json.decode(handle, type=Goal), sure=False)
-
-    async def trouble(self) -> str:
-        """A fault that the drive showed both now and when it was asked before. A line that is lost is told by
-        whatever is asked next."""
-        if isinstance(self.device, AxisSimulator):
-            return ""
-        try:
-            now = await self.device.trouble()
-        except DeviceError:
-            return self._reported
-        self._reported, self._reported_before = (now if now == self._reported_before else ""), now
-        return self._reported
 
 
 def adapt_description(about: Description, table: AxisTable) -> Description:

@@ -32,7 +32,7 @@ class Drive:
             int(config.get("node", 1)),
             name=name,
             late_s=float(config.get("late_s", 0.5)),
-            emergency=self._hear_emergency,
+            emergency=self._note_emergency,
             identify=lambda link: _recognise(link, see_unit),
             expected=WHO,
             **_bus_settings(config, channel, simulated=simulated),
@@ -69,7 +69,7 @@ class Drive:
         why, remedy = meaning_of(code)
         return DeviceError(f"{self.name}: {why} (error {code:04X}).", remedy=remedy)
 
-    def _hear_emergency(self, data: bytes) -> None:
+    def _note_emergency(self, data: bytes) -> None:
         self.emergency = int.from_bytes(data[:2], "little")
 
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from labos.link import FarEnd
 from labos.link.wire import needs
 from labos.node import Crash, Setup
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers.axis import profile
 from labos_drivers.axis.profile import State
 from labos_drivers.axis.table import STAGE, AxisTable
@@ -20,7 +20,6 @@ from labos_drivers.axis.table import STAGE, AxisTable
 NODE = 1
 REMOTE, VOLTAGE = 1 << 9, 1 << 4
 FOLLOWING, OVERHEATED = 0x8611, 0x4310
-NO_HOME = 0x7320
 LAGS_S = 2.0
 """In lab time: so long a blocked drive pushes before it gives up."""
 
@@ -51,11 +50,12 @@ OBJECTS: tuple[tuple[int, str, int, bool, str, int], ...] = (
 """Index, name, bytes, whether signed, access, value at first."""
 
 
-class DriveOnSlcan(OnWire):
+class DriveOnSlcan(OnLine):
     """What the drive is and does. ``blocked`` and ``hot`` are what happens to it, ``no_switch`` that it finds
     no home; ``stands`` is where its carriage really is, in counts from the lower end."""
 
     table: ClassVar[AxisTable] = STAGE
+    line_end = b"\r"
     serial = 7001
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
@@ -71,7 +71,6 @@ class DriveOnSlcan(OnWire):
         self._reached = True
         self._goal: float | None = None
         self._from, self._since_s, self._takes_s = self.stands, 0.0, 1.0
-        self._heard = b""
         self._node: Any = None
         self._network: Any = None
 
@@ -93,7 +92,7 @@ class DriveOnSlcan(OnWire):
             """canopen's network, with this adapter in the place of one of python-can."""
 
             def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-                device.say(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
+                device.send(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
 
         network = Network()
         node: Any = network.create_node(NODE, _make_dictionary(canopen.objectdictionary))
@@ -104,17 +103,14 @@ class DriveOnSlcan(OnWire):
         node.add_write_callback(self._on_write)
         return network, node
 
-    def hear(self, data: bytes) -> None:
-        """Lines of slcan: ``t`` with identifier, length and bytes is a message; the others set the adapter
+    def obey(self, line: str) -> None:
+        """A line of slcan: ``t`` with identifier, length and bytes is a message; the others set the adapter
         up."""
-        *lines, self._heard = (self._heard + data).split(b"\r")
-        for line in lines:
-            if line[:1] == b"t" and self._network is not None:
-                size = int(line[4:5])
-                body = bytes.fromhex(line[5 : 5 + 2 * size].decode())
-                self._network.notify(int(line[1:4], 16), bytearray(body), time.monotonic())
-            elif line:
-                self.say(b"\r")
+        if line.startswith("t") and self._network is not None:
+            body = bytearray.fromhex(line[5 : 5 + 2 * int(line[4])])
+            self._network.notify(int(line[1:4], 16), body, time.monotonic())
+        elif line:
+            self.send(b"\r")
 
     def _on_read(self, index: int, subindex: int, od: Any) -> int | None:
         """The present value of an object; None if the dictionary has it."""

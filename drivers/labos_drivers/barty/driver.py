@@ -12,7 +12,8 @@ import msgspec
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire
 from labos.node import Setup, under_way
-from labos.node.node import handle_keeper
+from labos.node.node import note_handle
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.barty import protocol
 from labos_drivers.barty.protocol import PINS
@@ -75,10 +76,9 @@ class BartyDriver(Wired):
         """Pumps with the same rate run at the same time, those with another rate after them."""
         rates = sorted({self._ml_per_s[pump] for pump in pumps})
         if (longest_s := amount_ml / rates[0]) > LONGEST_S:
-            raise DeviceError(
-                f"{self.name}: that would take {longest_s:.0f} s; no pump runs longer than {LONGEST_S:g} s.",
-                effects="none",
-                remedy="Ask for less at a time.",
+            raise self.make_refusal(
+                f"that would take {longest_s:.0f} s; no pump runs longer than {LONGEST_S:g} s",
+                "Ask for less at a time.",
             )
         for number, rate in enumerate(rates):
             group = [pump for pump in pumps if self._ml_per_s[pump] == rate]
@@ -87,9 +87,7 @@ class BartyDriver(Wired):
 
     async def _give_dose(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
         dose = await self.store(pumps, seconds, fill=fill)
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(str(dose))
+        await note_handle(str(dose))
         await self.carry_out(dose)
 
     @off_loop
@@ -98,7 +96,7 @@ class BartyDriver(Wired):
         self.check_not_stopped()
         owner = secrets.randbelow(2**31 - 1) + 1
         script = protocol.write_script(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
-        try:
+        with self.report_no_effects():
             if not self._is_at_rest():
                 raise DeviceError(f"{self.name}: a pump runs already.", remedy="Wait, or reset the module.")
             self._delete_last()
@@ -106,14 +104,10 @@ class BartyDriver(Wired):
             if number == protocol.NO_ROOM:
                 self._delete_ended()
                 number = self._ask(protocol.PROC, more=script.encode())[0]
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         if number < 0:
-            raise DeviceError(
-                f"{self.name}: the daemon does not take the dose (error {number}).",
-                effects="none",
-                remedy="Restart pigpiod on the Raspberry Pi, then reset the module.",
+            raise self.make_refusal(
+                f"the daemon does not take the dose (error {number})",
+                "Restart pigpiod on the Raspberry Pi, then reset the module.",
             )
         return Dose(number, owner)
 
@@ -131,9 +125,7 @@ class BartyDriver(Wired):
                 self._await_end(dose)
                 return
             if result < 0:
-                raise DeviceError(
-                    f"{self.name}: the daemon does not start the dose (error {result}).", effects="none"
-                )
+                raise self.make_refusal(f"the daemon does not start the dose (error {result})")
             self._await_end(dose)
 
     @off_loop
@@ -165,7 +157,7 @@ class BartyDriver(Wired):
             # A script that is deleted cannot be started any more.
             with suppress(LinkError):
                 self._delete_last()
-            raise DeviceError(f"{self.name}: the pumps were not started.", effects="none")
+            raise self.make_refusal("the pumps were not started")
         if not parameters[protocol.ENDED]:
             raise DeviceError(
                 f"{self.name}: the pumps were stopped before the dose was done.",
@@ -228,15 +220,9 @@ class BartyDriver(Wired):
 
     def _poll_script(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
         """Status and parameters of a script; a daemon that cannot be reached for a while is asked again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                result, more = self._ask(protocol.PROCP, dose.script)
-                break
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        result, more = self.ask_again(
+            lambda: self._ask(protocol.PROCP, dose.script), self.limit_s("lost", LOST_S), POLL_S
+        )
         if result < 0:
             raise self._make_forgotten_error()
         if len(more) != protocol.STATUS.size:
@@ -286,9 +272,9 @@ def read_rates(setup: Setup) -> tuple[float, ...]:
     configured = setup.config.get("ml_per_s", protocol.ML_PER_S)
     rates = list(configured) if isinstance(configured, list | tuple) else [configured] * len(PINS)
     if len(rates) != len(PINS) or not all(isinstance(rate, int | float) and rate > 0 for rate in rates):
-        raise DeviceError(
-            f"{setup.name}: {configured!r} are no rates of {len(PINS)} pumps.",
-            effects="none",
-            remedy="Write `ml_per_s:` as one number, or as a list of four.",
+        raise make_refusal(
+            setup.name,
+            f"{configured!r} are no rates of {len(PINS)} pumps",
+            "Write `ml_per_s:` as one number, or as a list of four.",
         )
     return tuple(float(rate) for rate in rates)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any
+from typing import Annotated
 
 from labos.node import DeviceError, Param, action
 from labos_drivers._wired import OnBenchOrWire
@@ -21,6 +21,7 @@ class Barty(OnBenchOrWire):
 
     driver = "barty"
     models = ("RPL BARTY", "barty")
+    follows = ("fill", "drain", "fill_all", "drain_all", "refill_ink")
     devices = (BartySimulator, BartyOnWire, BartyDriver)
     device: BartySimulator | BartyDriver
 
@@ -56,13 +57,6 @@ class Barty(OnBenchOrWire):
         pumps = [self._pump_of(motor) for motor in motors]
         check_dose(self.setup.name, pumps, amount)
         await self.device.fill(pumps, amount)
-
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name == "reset" or not isinstance(self.device, BartyDriver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
-        return await self.device.follow(handle)
 
     def _pump_of(self, motor: str) -> int:
         if not isinstance(motor, str) or not re.fullmatch(r"motor_[1-4]", motor):

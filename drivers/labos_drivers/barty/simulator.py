@@ -4,25 +4,46 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.node import DeviceError, Setup
+from labos.node import DeviceError, Setup, World
 from labos_drivers._simulation import Simulated
+from labos_drivers.barty.protocol import ML_PER_S
 
-ML_PER_S = 1.427
 PUMPS = range(4)
 BEAKER_ML = 250.0
 RESERVOIR_ML = 150.0
 
 
+class Tanks:
+    """Beakers and reservoirs with a pump between each two, as the motions so far have left them: a dry beaker
+    gives air, a full reservoir overflows."""
+
+    def __init__(self, world: World, device: str) -> None:
+        self._world, self._device = world, device
+        self.beakers = dict.fromkeys(PUMPS, BEAKER_ML)
+        self.reservoirs = dict.fromkeys(PUMPS, 0.0)
+        for motion in world.motions("pump"):
+            if motion.device == device:
+                self._shift(motion.facts["pump"], motion.facts["ml"])
+
+    def pump(self, pump: int, ml: float) -> None:
+        """Move so much into a reservoir, or out of it, as far as there is any. Raises Crash."""
+        moved = max(-self.reservoirs[pump], min(ml, self.beakers[pump]))
+        if self.reservoirs[pump] + moved > RESERVOIR_ML:
+            self._world.crash(self._device, f"{self._device}.pump{pump}", "spills ink over the deck")
+        self._shift(pump, moved)
+        self._world.work(self._device, "pump", pump=pump, ml=moved)
+
+    def _shift(self, pump: int, ml: float) -> None:
+        self.beakers[pump] -= ml
+        self.reservoirs[pump] += ml
+
+
 class BartySimulator(Simulated):
-    """Pumps that run for a time: a dry beaker gives air, a full reservoir overflows."""
+    """Pumps that run for a time."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.beakers = dict.fromkeys(PUMPS, BEAKER_ML)
-        self.reservoirs = dict.fromkeys(PUMPS, 0.0)
-        for motion in self.world.motions("pump"):
-            if motion.device == self.name:
-                self._shift(motion.facts["pump"], motion.facts["ml"])
+        self.tanks = Tanks(self.world, self.name)
 
     async def fill(self, pumps: list[int], amount_ml: float) -> None:
         await self._run(pumps, amount_ml)
@@ -36,15 +57,7 @@ class BartySimulator(Simulated):
         with self.motion():
             await self.take_time(abs(amount_ml) / ML_PER_S)
             for pump in pumps:
-                moved = max(-self.reservoirs[pump], min(amount_ml, self.beakers[pump]))
-                if self.reservoirs[pump] + moved > RESERVOIR_ML:
-                    self.world.crash(self.name, self.place(f"pump{pump}"), "spills ink over the deck")
-                self._shift(pump, moved)
-                self.world.work(self.name, "pump", pump=pump, ml=moved)
-
-    def _shift(self, pump: int, ml: float) -> None:
-        self.beakers[pump] -= ml
-        self.reservoirs[pump] += ml
+                self.tanks.pump(pump, amount_ml)
 
     def observe(self) -> dict[str, Any]:
         """Nothing: Barty has no sensor of level or flow."""

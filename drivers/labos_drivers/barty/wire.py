@@ -14,7 +14,7 @@ from labos.node import Setup
 from labos_drivers._onwire import OnWire
 from labos_drivers.barty import protocol
 from labos_drivers.barty.protocol import PINS
-from labos_drivers.barty.simulator import BEAKER_ML, RESERVOIR_ML
+from labos_drivers.barty.simulator import Tanks
 
 VERSION = 79
 NO_SCRIPT, BAD_COMMAND, RUNS = -48, -88, -115
@@ -70,14 +70,10 @@ class BartyOnWire(OnWire):
         self.levels = [0] * 32
         self.stuck: set[int] = set()
         self.refuses = False
-        self.beakers = dict.fromkeys(range(len(PINS)), BEAKER_ML)
-        self.reservoirs = dict.fromkeys(range(len(PINS)), 0.0)
-        for motion in self.world.motions("pump"):
-            if motion.device == self.name:
-                self._shift(motion.facts["pump"], motion.facts["ml"])
+        self.tanks = Tanks(self.world, self.name)
         self._scripts: dict[int, Script] = {}
         self._since_s: dict[int, float] = {}
-        self._heard = b""
+        self._received = b""
 
     def make_end(self) -> FarEnd:
         return Daemon()
@@ -92,18 +88,18 @@ class BartyOnWire(OnWire):
         for pump in list(self._since_s):
             self._stop(pump, self.now_s())
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
+    def receive(self, data: bytes) -> None:
+        self._received += data
         size = protocol.HEADER.size
-        while len(self._heard) >= size:
-            command, p1, p2, more = protocol.HEADER.unpack_from(self._heard)
-            if len(self._heard) < size + more:
+        while len(self._received) >= size:
+            command, p1, p2, more = protocol.HEADER.unpack_from(self._received)
+            if len(self._received) < size + more:
                 return
-            text, self._heard = self._heard[size : size + more], self._heard[size + more :]
+            text, self._received = self._received[size : size + more], self._received[size + more :]
             result, extra = self._answer(command, p1, p2, text)
-            self.say(protocol.HEADER.pack(command, p1, p2, result) + extra)
+            self.send(protocol.HEADER.pack(command, p1, p2, result) + extra)
 
     def _answer(self, command: int, p1: int, p2: int, text: bytes) -> tuple[int, bytes]:
         script = self._scripts.get(p1)
@@ -204,18 +200,10 @@ class BartyOnWire(OnWire):
         way = self.levels[pins.backward] - self.levels[pins.forward]
         rate = protocol.ML_PER_S * self._random.gauss(1.0, RATE_NOISE)
         wanted = 0.0 if pump in self.stuck else way * rate * ran_s
-        moved = max(-self.reservoirs[pump], min(wanted, self.beakers[pump]))
-        self._shift(pump, moved)
-        if way:  # a bridge that is switched on without a direction turns nothing
-            self.world.work(self.name, "pump", pump=pump, ml=moved)
         if not self._since_s:
             self.world.leave(self.name)
-        if self.reservoirs[pump] > RESERVOIR_ML:
-            self.world.crash(self.name, self.place(f"pump{pump}"), "spills ink over the deck")
-
-    def _shift(self, pump: int, ml: float) -> None:
-        self.beakers[pump] -= ml
-        self.reservoirs[pump] += ml
+        if way:  # a bridge that is switched on without a direction turns nothing
+            self.tanks.pump(pump, wanted)
 
     def damage(self, crash: Exception) -> None:
         """Ink runs over the deck; the device does not notice."""

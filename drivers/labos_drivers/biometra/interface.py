@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.biometra.driver import LARGEST_PROGRAM, BiometraDriver
 from labos_drivers.biometra.simulator import BiometraSimulator
 from labos_drivers.biometra.wire import BiometraOnWire
-from labos_drivers.gateway.driver import GatewayInstrument
 
 
-class Biometra(GatewayInstrument):
+class Biometra(OnBenchOrWire):
     """Thermal cycler with a motorised, heated lid."""
 
     driver = "biometra"
@@ -19,6 +19,7 @@ class Biometra(GatewayInstrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
+    follows = ("open_lid", "close_lid", "run_program")
     devices = (BiometraSimulator, BiometraOnWire, BiometraDriver)
     device: BiometraSimulator | BiometraDriver
 

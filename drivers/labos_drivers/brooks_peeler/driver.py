@@ -36,7 +36,7 @@ class PeelerDriver(Wired):
             make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
             Terminated(protocol.END),
             name=setup.name,
-            unasked=self._hear,
+            unasked=self._note_restart,
             identify=self._recognise,
             expected=WHO,
         )
@@ -55,10 +55,8 @@ class PeelerDriver(Wired):
         """Check that the plate has a seal: what a peel does without one is not published. Raises
         DeviceError."""
         if self._look_for_seal() != "sealed":
-            raise DeviceError(
-                f"{self.name}: XPeel seal check 00: no seal on the plate.",
-                effects="none",
-                remedy="Look at the plate before going on.",
+            raise self.make_refusal(
+                "XPeel seal check 00: no seal on the plate", "Look at the plate before going on."
             )
 
     @staticmethod
@@ -81,9 +79,7 @@ class PeelerDriver(Wired):
             codes = self._read_last_codes()
             self._ask_tape_left()
         if not command:
-            raise DeviceError(
-                f"{self.name}: only the seal was looked for; the peel was never begun.", effects="none"
-            )
+            raise self.make_refusal("only the seal was looked for; the peel was never begun")
         if not self._tape:
             raise OutcomeUnknown(f"{self.name} has been switched off since, and has no record of the peel")
         if protocol.SEAL in codes:
@@ -100,10 +96,8 @@ class PeelerDriver(Wired):
         with self.motion():
             try:
                 return self._look_for_seal()
-            except DeviceError as error:
-                if isinstance(error, NoPlate):
-                    return "no plate"
-                raise
+            except NoPlate:
+                return "no plate"
 
     @off_loop
     def is_idle(self) -> bool:
@@ -175,7 +169,7 @@ class PeelerDriver(Wired):
         with self.under_way():
             while True:
                 line = self.link.receive(max(deadline - time.monotonic(), 0.0))
-                if self._hear(line) and self._restarted:
+                if self._note_restart(line) and self._restarted:
                     raise DeviceError(
                         f"{self.name}: the peeler restarted in mid-motion.",
                         remedy="Look at the plate, then reset the module.",
@@ -211,7 +205,7 @@ class PeelerDriver(Wired):
 
     # -- what the device says by itself ------------------------------------------------------
 
-    def _hear(self, line: bytes) -> bool:
+    def _note_restart(self, line: bytes) -> bool:
         if line.startswith((b"*poweron", b"*homing")):
             self._restarted = True
             return True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from labos.node import DeviceError
 from labos_drivers._simulation import Simulated
 
 USUAL_ADHERE_S = 2.5
@@ -18,16 +17,10 @@ class PeelerSimulator(Simulated):
             await self.take_time(10)
             match self._read_seal_sensor():
                 case "no plate":
-                    raise DeviceError(
-                        f"{self.name}: XPeel error 06: no plate found.",
-                        effects="none",
-                        remedy="Look where the plate is.",
-                    )
+                    raise self.make_refusal("XPeel error 06: no plate found", "Look where the plate is.")
                 case "unsealed":
-                    raise DeviceError(
-                        f"{self.name}: XPeel seal check 00: no seal on the plate.",
-                        effects="none",
-                        remedy="Look at the plate before going on.",
+                    raise self.make_refusal(
+                        "XPeel seal check 00: no seal on the plate", "Look at the plate before going on."
                     )
             self.crash_if_lidded(self.place("default"), "peels a lid")
             await self.take_time(10 + adhere_s - USUAL_ADHERE_S)

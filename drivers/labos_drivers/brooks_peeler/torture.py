@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Foreign, Setup, Torture, World
+from labos.node import Case, Fault, Foreign, Setup, Torture
+from labos_drivers._torture import refill, remove_plate, use_up
 from labos_drivers.brooks_peeler.wire import PeelerOnWire
 
 HERE = "labos_drivers.brooks_peeler.driver"
-
-
-def _remove_plate(peeler: PeelerOnWire, world: World) -> None:
-    world.carry(peeler.top(peeler.place("default")), "")
-
-
-def _use_up_tape(peeler: PeelerOnWire, world: World) -> None:
-    world.supply(peeler.name, "tape", -(world.find_level(peeler.name, "tape") or 0.0))
-
-
-def _insert_tape(peeler: PeelerOnWire, world: World) -> None:
-    world.supply(peeler.name, "tape", 600)
 
 
 def _make_peeler(setup: Setup) -> PeelerOnWire:
@@ -36,9 +25,9 @@ TORTURE = Torture(
         Case("sealcheck", stock={"default": "plate96"}),
     ),
     faults=(
-        Fault("no plate in the nest", _remove_plate),
+        Fault("no plate in the nest", remove_plate("default")),
         Fault.by_setting("the cover is open", "cover_is_shut", to=False, back=True),
-        Fault("out of tape", _use_up_tape, _insert_tape),
+        Fault("out of tape", use_up("tape"), refill("tape", 600)),
     ),
     # As after power came back, or when somebody uses its front panel.
     unasked=(b"*poweron\r\n", b"*homing\r\n", b"*ready:00,00,00\r\n"),

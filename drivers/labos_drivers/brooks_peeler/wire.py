@@ -11,14 +11,14 @@ from collections.abc import Callable
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers.brooks_peeler import protocol
 
 ROLL = 600
 NONE = (0, 0, 0)
 
 
-class PeelerOnWire(OnWire):
+class PeelerOnWire(OnLine):
     """What the device is and does; ``peels`` while it does. ``homes`` lets it home when it is switched on,
     as the real one does; else it has done so before. It looks for a seal in ``check_s``."""
 
@@ -37,23 +37,17 @@ class PeelerOnWire(OnWire):
         self._busy = False
         self._moved = False
         self._used = 0
-        self._heard = b""
         self._threshold = 500
 
     def power_on(self) -> None:
         if self._homes:
             self._restart()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
-            if not self._busy:
-                self._obey(line.strip().decode("ascii", "replace"))
-
-    def _obey(self, line: str) -> None:
+    def obey(self, line: str) -> None:
+        if self._busy:
+            return
         name, _, argument = line.partition(":")
         answers: dict[str, Callable[[], None]] = {
             "*stat": lambda: None,
@@ -185,4 +179,4 @@ class PeelerOnWire(OnWire):
         self._send_line("*ready:{:02d},{:02d},{:02d}".format(*self.codes))
 
     def _send_line(self, text: str) -> None:
-        self.say(text.encode() + protocol.END)
+        self.send(text.encode() + protocol.END)

@@ -7,6 +7,7 @@ from typing import Any
 
 from labos.errors import DeviceError
 from labos.node import Attachment, Setup
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, off_loop
 from labos_drivers.camera import vision
 from labos_drivers.camera.source import make_source
@@ -121,9 +122,9 @@ def _read_view(name: str, place: str, configured: Any) -> View:
     except (TypeError, ValueError):
         left, top, right, bottom = 1.0, 1.0, 0.0, 0.0
     if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
-        raise DeviceError(
-            f"{name}: the view of {place} is not a part of a picture.",
-            effects="none",
-            remedy="Write it as [left, top, right, bottom], each 0 to 1.",
+        raise make_refusal(
+            name,
+            f"the view of {place} is not a part of a picture",
+            "Write it as [left, top, right, bottom], each 0 to 1.",
         )
     return left, top, right, bottom

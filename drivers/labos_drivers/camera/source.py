@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 from urllib.parse import urlsplit
@@ -18,6 +19,7 @@ from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
 from labos.node import under_way
 from labos.node.secrets import read_secret
+from labos_drivers._refusals import make_refusal
 from labos_drivers.camera.vision import Picture, cv, decode
 
 T = TypeVar("T")
@@ -118,27 +120,23 @@ class VideoDevice(Life):
     def _run_within(self, limit_s: float, work: Callable[[], T]) -> T:
         """Run something in a thread, for so long at most: OpenCV may wait for ever for a camera that hangs.
         The thread is then left behind."""
-        done: list[T] = []
-        failed: list[Exception] = []
+        ends: Future[T] = Future()
 
         def run() -> None:
             try:
-                done.append(work())
+                ends.set_result(work())
             except Exception as error:
-                failed.append(error)
+                ends.set_exception(error)
 
-        thread = threading.Thread(target=run, name=f"{self.name} picture", daemon=True)
-        thread.start()
-        thread.join(limit_s)
-        if failed:
-            raise failed[0]
-        if not done:
+        threading.Thread(target=run, name=f"{self.name} picture", daemon=True).start()
+        try:
+            return ends.result(limit_s)
+        except TimeoutError:
             raise LinkLost(
                 f"{self.name}: the camera {self._where} has sent no picture within {limit_s:g} s.",
                 effects="none",
                 remedy="Unplug it and plug it in again, then restart the node of this module.",
-            )
-        return done[0]
+            ) from None
 
 
 class NetworkCamera:
@@ -245,10 +243,8 @@ class StoredPictures(Life):
 
 def make_focus_error(name: str) -> DeviceError:
     """The error for a source whose focus cannot be set."""
-    return DeviceError(
-        f"{name}: the focus of this camera cannot be set.",
-        effects="none",
-        remedy="Leave `focus` out, and focus by hand.",
+    return make_refusal(
+        name, "the focus of this camera cannot be set", "Leave `focus` out, and focus by hand."
     )
 
 
@@ -263,10 +259,10 @@ def _make_authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
         return {}
     password = read_secret(config, "password")
     if not password:
-        raise DeviceError(
-            f"{name}: `config:` has the user {user!r}, but no password.",
-            effects="none",
-            remedy="Write `password_env` (a variable of this node) or `password_file`.",
+        raise make_refusal(
+            name,
+            f"`config:` has the user {user!r}, but no password",
+            "Write `password_env` (a variable of this node) or `password_file`.",
         )
     digest = base64.b64encode(f"{user}:{password}".encode()).decode()
     return {"Authorization": f"Basic {digest}"}

@@ -6,22 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos.errors import DeviceError
-from labos_drivers.gateway.driver import GatewayDriver
+from labos_drivers.gateway.driver import GatedDriver
 
 PROGRAM = re.compile(r"[\w .\-]{1,100}")
 
 
-class ChemspeedDriver(GatewayDriver):
+class ChemspeedDriver(GatedDriver):
     """The hood counts as open when its sensor says so; a program has ended when its last task says so."""
 
     instrument = "chemspeed"
-
-    async def open_gate(self) -> None:
-        await self.call("open_lid")
-
-    async def close_gate(self) -> None:
-        await self.call("close_lid")
 
     async def run_program(
         self,
@@ -31,10 +24,8 @@ class ChemspeedDriver(GatewayDriver):
         lengths: Sequence[float] = (),
     ) -> None:
         if not PROGRAM.fullmatch(program):
-            raise DeviceError(
-                f"{self.name}: {program[:40]!r} is no name of a program.",
-                effects="none",
-                remedy="Name it as AutoSuite does, without a folder.",
+            raise self.make_refusal(
+                f"{program[:40]!r} is no name of a program", "Name it as AutoSuite does, without a folder."
             )
         recipe: dict[str, Any] = {}
         if wells:

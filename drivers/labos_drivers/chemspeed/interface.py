@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 from labos.node import Param, Requires, Sets, Station, Transfers, action
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.chemspeed.driver import ChemspeedDriver
 from labos_drivers.chemspeed.simulator import ChemspeedSimulator
 from labos_drivers.chemspeed.wire import ChemspeedOnWire
-from labos_drivers.gateway.driver import GatewayInstrument
 
 MONOMERS = ("monomer_A", "monomer_B", "monomer_C")
 
@@ -18,7 +18,7 @@ Volumes = Annotated[
 ]
 
 
-class Chemspeed(GatewayInstrument):
+class Chemspeed(OnBenchOrWire):
     """Synthesis platform under a hood."""
 
     driver = "chemspeed"
@@ -26,6 +26,7 @@ class Chemspeed(GatewayInstrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
+    follows = ("open_lid", "close_lid", "run_program")
     devices = (ChemspeedSimulator, ChemspeedOnWire, ChemspeedDriver)
     device: ChemspeedSimulator | ChemspeedDriver
 

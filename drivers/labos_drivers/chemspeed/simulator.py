@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from labos.node import DeviceError
 from labos_drivers._simulation import Gated
 
 
@@ -24,17 +23,15 @@ class ChemspeedSimulator(Gated):
         volumes = volumes or {}
         for what, values in {**volumes, "chain_lengths": lengths}.items():
             if len(values) != len(wells):
-                raise DeviceError(
-                    f"{self.name}: {len(wells)} wells, but {len(values)} values of {what}.",
-                    effects="none",
-                    remedy="Give one value a well.",
+                raise self.make_refusal(
+                    f"{len(wells)} wells, but {len(values)} values of {what}", "Give one value a well."
                 )
         with self.motion():
             self.check_closed()
             await self.take_time(3600)
             place = self.place("default")
             if wells and not self.top(place):
-                raise DeviceError(f"{self.name}: there is no plate to fill.", effects="none")
+                raise self.make_refusal("there is no plate to fill")
             recipe = {"wells": list(wells), "volumes": dict(volumes), "lengths": list(lengths)}
             self.world.work(
                 self.name,

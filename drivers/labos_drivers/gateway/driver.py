@@ -8,11 +8,11 @@ import time
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
-from labos.node.node import handle_keeper
-from labos_drivers._wired import DeviceOnWire, OnBenchOrWire, Wired, during_motion, off_loop
+from labos.node.node import note_handle
+from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 
 ANSWER_S, POLL_S, LOST_S = 10.0, 1.0, 60.0
 """How long a gateway may be out of reach while its instrument works."""
@@ -60,9 +60,7 @@ class GatewayDriver(Wired):
     async def call(self, action: str, **args: Any) -> Any:
         """Carry an action out; returns its result. Raises DeviceError."""
         start = await self.name_start()
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(start.handle)
+        await note_handle(start.handle)
         return await self.carry_out(start, action, args)
 
     @off_loop
@@ -85,7 +83,7 @@ class GatewayDriver(Wired):
         start = Start(journal, name)
         with self.motion():
             with self.under_way():
-                entry = self._void(start)
+                entry = self._poll_action("DELETE", start)
             return self._await_end(start, entry)
 
     @off_loop
@@ -99,10 +97,7 @@ class GatewayDriver(Wired):
     def stop(self) -> None:
         """Raises DeviceError if the instrument cannot be stopped from its PC."""
         self._halted.set()
-        if (
-            not self._check_reply(self.link.post("/stop", timeout_s=self._answer_s)).get("stopped")
-            and self.moving
-        ):
+        if not self._ask("POST", "/stop").get("stopped") and self.moving:
             raise DeviceError(
                 f"{self.name}: its own software takes no stop; it ends what it has begun.",
                 remedy="Use the button or switch on the device.",
@@ -111,11 +106,11 @@ class GatewayDriver(Wired):
     @during_motion
     def is_idle(self) -> bool:
         """An instrument that does not report that it is idle is busy."""
-        return self._read_state().get("busy") is False
+        return self._ask("GET", "/state").get("busy") is False
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        seen = self._read_state().get("seen")
+        seen = self._ask("GET", "/state").get("seen")
         return dict(seen) if isinstance(seen, dict) else {}
 
     # -- one action --------------------------------------------------------------------------
@@ -131,14 +126,13 @@ class GatewayDriver(Wired):
                 raise
             # It may or may not have been heard; from now on it is not heard any more.
             with self.under_way():
-                entry = self._void(start)
+                entry = self._poll_action("DELETE", start)
         else:
             if reply.status in REFUSALS:
                 self._forget_another(answer)
-                raise DeviceError(
-                    f"{self.name}: {action} is refused: {answer.get('error')}.",
-                    effects="none",
-                    remedy=str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
+                raise self.make_refusal(
+                    f"{action} is refused: {answer.get('error')}",
+                    str(answer.get("remedy") or "Wait, or look at the instrument's own software."),
                 )
             entry = self._check_reply(reply)
         return self._await_end(start, entry)
@@ -152,7 +146,7 @@ class GatewayDriver(Wired):
             case "succeeded":
                 return entry.get("result")
             case "void" if entry.get("journal") == start.journal:
-                raise DeviceError(f"{self.name}: the gateway never heard of the action.", effects="none")
+                raise self.make_refusal("the gateway never heard of the action")
             case "void":
                 self._forget_another(entry)
                 raise OutcomeUnknown(f"{self.name}: the gateway has lost the journal in which it stood.")
@@ -172,29 +166,16 @@ class GatewayDriver(Wired):
         if answer.get("journal") != self._journal:
             self.link.close()
 
-    def _void(self, start: Start) -> dict[str, Any]:
-        return self._poll_action("DELETE", start)
-
     def _poll_action(self, method: str, start: Start) -> dict[str, Any]:
         """Read the state of an action, or void it; a gateway that cannot be reached for a while is asked
         again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return self._check_reply(
-                    self.link.exchange(method, f"/actions/{start.name}", timeout_s=self._answer_s)
-                )
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        limit_s = self.limit_s("lost", LOST_S)
+        return self.ask_again(lambda: self._ask(method, f"/actions/{start.name}"), limit_s, POLL_S)
 
     # -- one answer --------------------------------------------------------------------------
 
-    def _read_state(self) -> dict[str, Any]:
-        return self._check_reply(self.link.get("/state", timeout_s=self._answer_s))
+    def _ask(self, method: str, path: str) -> dict[str, Any]:
+        return self._check_reply(self.link.exchange(method, path, timeout_s=self._answer_s))
 
     def _check_reply(self, reply: HttpReply) -> dict[str, Any]:
         """The body of a successful reply. Raises DeviceError for any other."""
@@ -227,13 +208,13 @@ class GatewayDriver(Wired):
         return f"a gateway to {instrument}"
 
 
-class GatewayInstrument(OnBenchOrWire):
-    """A node whose real device stands behind a gateway. What went on while the node was not running is taken
-    up again."""
+class GatedDriver(GatewayDriver):
+    """Of an instrument with a lid or a carrier, which the actions ``gate`` open and close."""
 
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name == "reset" or not isinstance(self.device, GatewayDriver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
-        return await self.device.follow(handle)
+    gate: ClassVar[tuple[str, str]] = ("open_lid", "close_lid")
+
+    async def open_gate(self) -> None:
+        await self.call(self.gate[0])
+
+    async def close_gate(self) -> None:
+        await self.call(self.gate[1])

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.errors import DeviceError, Garbled
-from labos_drivers.gateway.driver import GatewayDriver
+from labos.errors import Garbled
+from labos_drivers.gateway.driver import GatedDriver
 
 LONGEST_NAME = 100
 
 
-class HidexDriver(GatewayDriver):
+class HidexDriver(GatedDriver):
     """``open`` and ``close`` are of the plate carrier. An assay ends when its file is whole."""
 
     instrument = "hidex"
-
-    async def open_gate(self) -> None:
-        await self.call("open")
-
-    async def close_gate(self) -> None:
-        await self.call("close")
+    gate = ("open", "close")
 
     async def run_assay(self, assay: str) -> str:
         self._check_assay(assay)
@@ -50,8 +45,7 @@ class HidexDriver(GatewayDriver):
     def _check_assay(self, assay: str) -> None:
         """Raise DeviceError for what cannot be the name of a template."""
         if not assay or len(assay) > LONGEST_NAME or not assay.isprintable():
-            raise DeviceError(
-                f"{self.name}: {assay[:40]!r} is no name of an assay.",
-                effects="none",
-                remedy="Name a template as the reader's own software has it.",
+            raise self.make_refusal(
+                f"{assay[:40]!r} is no name of an assay",
+                "Name a template as the reader's own software has it.",
             )

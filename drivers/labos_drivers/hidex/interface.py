@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from labos.node import Needs, Param, Requires, Sets, Station, action
-from labos_drivers.gateway.driver import GatewayInstrument
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.hidex.driver import HidexDriver
 from labos_drivers.hidex.simulator import HidexSimulator
 from labos_drivers.hidex.wire import HidexOnWire
 
 
-class Hidex(GatewayInstrument):
+class Hidex(OnBenchOrWire):
     """Plate reader; its lid is the plate carrier, open when it is out."""
 
     driver = "hidex"
@@ -19,6 +19,7 @@ class Hidex(GatewayInstrument):
     stations = (Station("default", access={"lid": "open"}),)
     variables = {"lid": "open"}
     rest = {"lid": "open"}
+    follows = ("open_lid", "close_lid", "run_assay", "read_plate")
     devices = (HidexSimulator, HidexOnWire, HidexDriver)
     device: HidexSimulator | HidexDriver
 

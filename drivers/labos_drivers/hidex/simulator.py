@@ -31,32 +31,35 @@ class HidexSimulator(Gated):
 
     async def run_assay(self, assay: str) -> str:
         with self.motion():
-            self.check_closed()
-            self.crash_if_lidded(self.place("default"), "reads through a lid")
-            await self.take_time(300)
-            self.world.work(self.name, "read", self.place("default"), assay=assay)
-            self.reads += 1
-            return f"{assay}_{self.reads:04}.csv"
+            await self._read(assay)
+            return self._name_file(assay)
 
     async def read_plate(self, assay: str) -> dict[str, Any]:
         """What the plate holds is its own: the same plate reads the same twice, but for noise."""
         with self.motion():
-            self.check_closed()
-            self.crash_if_lidded(self.place("default"), "reads through a lid")
-            await self.take_time(300)
-            plate = self.world.work(self.name, "read", self.place("default"), assay=assay)
+            plate = await self._read(assay)
             kind = self.world.kind(plate)
             rows, columns = next(grid for mark, grid in GRIDS.items() if mark in kind)
             wells = [f"{chr(65 + row)}{column + 1}" for row in range(rows) for column in range(columns)]
-            self.reads += 1
             read = self._read_absorbances(plate, wells, assay)
             return {
-                "file": f"{assay}_{self.reads:04}.csv",
+                "file": self._name_file(assay),
                 "quantity": "absorbance",
                 "unit": "OD",
                 "wells": read,
                 "overflow": [well for well, level in read.items() if level is None],
             }
+
+    async def _read(self, assay: str) -> str:
+        """Read the plate, and return which it is."""
+        self.check_closed()
+        self.crash_if_lidded(self.place("default"), "reads through a lid")
+        await self.take_time(300)
+        return self.world.work(self.name, "read", self.place("default"), assay=assay)
+
+    def _name_file(self, assay: str) -> str:
+        self.reads += 1
+        return f"{assay}_{self.reads:04}.csv"
 
     def _read_absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float | None]:
         """Of what was pipetted into it, at the wavelength in the assay's name (nm). A plate into which

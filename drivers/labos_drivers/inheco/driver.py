@@ -5,18 +5,21 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from labos.errors import DeviceError, Garbled
 from labos.link import Link
 from labos.node import Setup
-from labos_drivers._limits import make_serial_wire
+from labos_drivers._limits import make_serial_wire, read_setting
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.inheco import protocol
 
 ANSWER_S, DRAWER_S, SHAKER_S = 3.0, 15.0, 20.0
 POLL_S = 0.2
 WHO = "an Inheco incubator"
+Id, Floor = Annotated[int, msgspec.Meta(ge=0, le=15)], Annotated[int, msgspec.Meta(ge=0, le=5)]
 
 
 class Refused(DeviceError):
@@ -42,8 +45,8 @@ class InhecoDriver(Wired):
 
     def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
-        self._device = read_integer(setup, "id", protocol.USUAL_ID, 0, 15)
-        self._floor = read_integer(setup, "floor", 0, 0, 5)
+        self._device = read_setting(setup, "id", protocol.USUAL_ID, Id, "Write 0 to 15.")
+        self._floor = read_setting(setup, "floor", 0, Floor, "Write 0 to 5.")
         self._target_c: float | None = None
         self.link = Link(
             make_serial_wire(setup, port, baudrate=protocol.BAUDRATE),
@@ -66,8 +69,8 @@ class InhecoDriver(Wired):
             self._move_drawer("ACD", "0")
 
     def _move_drawer(self, command: str, goal: str) -> None:
-        if self._ask("RSE", "[012]") != "0":
-            raise DeviceError(f"{self.name}: it shakes.", effects="none", remedy="Stop shaking first.")
+        if self._read_shaker() != "0":
+            raise self.make_refusal("it shakes", "Stop shaking first.")
         self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
         with self.under_way():
@@ -126,12 +129,10 @@ class InhecoDriver(Wired):
         first."""
         with self.motion():
             if self._ask("RTS", "[0-3]") not in (protocol.MP_SHAKER, protocol.DWP_SHAKER):
-                raise DeviceError(f"{self.name}: this incubator has no shaker.", effects="none")
+                raise self.make_refusal("this incubator has no shaker")
             if self._read_drawer() != "0":
-                raise DeviceError(
-                    f"{self.name}: the door is not closed.", effects="none", remedy="Close the door first."
-                )
-            if self._ask("RSE", "[012]") != "0":
+                raise self.make_refusal("the door is not closed", "Close the door first.")
+            if self._read_shaker() != "0":
                 self._stop_shaking()
             tenths_hz, tenths_mm = round(rpm / 6), round(amplitude_mm * 10)
             self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
@@ -139,7 +140,7 @@ class InhecoDriver(Wired):
             self._order("ASE1")
             with self.under_way():
                 self._await(
-                    lambda: self._ask("RSE", "[012]") == protocol.SHAKES,
+                    lambda: self._read_shaker() == protocol.SHAKES,
                     self.limit_s("shaker", SHAKER_S),
                     "the shaker does not run",
                 )
@@ -153,10 +154,14 @@ class InhecoDriver(Wired):
         self._order("ASE0")
         with self.under_way():
             self._await(
-                lambda: self._ask("RSE", "[012]") == "0",
+                lambda: self._read_shaker() == "0",
                 self.limit_s("shaker", SHAKER_S),
                 "the shaker does not stop",
             )
+
+    def _read_shaker(self) -> str:
+        """``0`` if it stands still."""
+        return self._ask("RSE", "[012]")
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -197,7 +202,7 @@ class InhecoDriver(Wired):
         return {
             "door": {"0": "closed", "1": "open"}.get(drawer, "moving"),
             "plate": self._detect_plate(),
-            "shaking": self._ask("RSE", "[012]") != "0",
+            "shaking": self._read_shaker() != "0",
             "heating": self._ask("RHE", "[012]") != "0",
             "temperature": self._read_temperature(),
             "target": int(self._ask("RTT", r"\d{1,3}")) / 10,
@@ -208,7 +213,7 @@ class InhecoDriver(Wired):
     def observe(self) -> dict[str, Any]:
         """The plate is felt when the drawer closes; while it is open, and after a reset, nobody knows."""
         drawer, plate = self._read_drawer(), self._detect_plate()
-        seen: dict[str, Any] = {"shaking": self._ask("RSE", "[012]") != "0"}
+        seen: dict[str, Any] = {"shaking": self._read_shaker() != "0"}
         if drawer:
             seen["door"] = "open" if drawer == "1" else "closed"
         if plate is not None:
@@ -273,13 +278,3 @@ class InhecoDriver(Wired):
                 if error.code != protocol.RESET:
                     return ""
         return ""
-
-
-def read_integer(setup: Setup, key: str, usual: int, low: int, high: int) -> int:
-    """A whole number of the configuration. Raises DeviceError."""
-    configured = setup.config.get(key, usual)
-    if isinstance(configured, bool) or not isinstance(configured, int) or not low <= configured <= high:
-        raise DeviceError(
-            f"{setup.name}: `{key}:` is {configured!r}.", effects="none", remedy=f"Write {low} to {high}."
-        )
-    return configured

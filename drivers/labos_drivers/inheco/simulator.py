@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import math
 from typing import Any
 
 from labos.node import Setup
-from labos_drivers._simulation import Gated
+from labos_drivers._simulation import Gated, Settling
 
 ROOM_C = 22.0
 SETTLES_S = 300.0
@@ -21,12 +19,10 @@ class InhecoSimulator(Gated):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
-        if not any(motion.device == self.name for motion in moved):
-            self.shut(*self.behind)
+        self.shut_at_first(*self.behind)
         self.target_c: float | None = None
         self.shaking = False
-        self._from_c, self._since_s = ROOM_C, asyncio.get_running_loop().time()
+        self._block = Settling(ROOM_C, SETTLES_S, self.read_clock)
 
     async def open_gate(self) -> None:
         self.gate_s = OPENS_S
@@ -37,19 +33,15 @@ class InhecoSimulator(Gated):
         await super().close_gate()
 
     def set_temperature(self, celsius: float) -> None:
-        self._aim(celsius)
+        self.target_c = celsius
+        self._block.aim(celsius)
 
     def stop_temperature(self) -> None:
-        self._aim(None)
-
-    def _aim(self, celsius: float | None) -> None:
-        self._from_c, self._since_s = self.read_temperature(), asyncio.get_running_loop().time()
-        self.target_c = celsius
+        self.target_c = None
+        self._block.aim(ROOM_C)
 
     def read_temperature(self) -> float:
-        goal = ROOM_C if self.target_c is None else self.target_c
-        passed_s = (asyncio.get_running_loop().time() - self._since_s) * self._setup.pace
-        return round(goal + (self._from_c - goal) * math.exp(-passed_s / SETTLES_S), 1)
+        return round(self._block.now(), 1)
 
     async def begin_shake(self, rpm: float, amplitude_mm: float) -> None:
         with self.motion():

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
 from labos_drivers._onwire import OnWire
+from labos_drivers._simulation import Settling
 from labos_drivers.inheco import protocol
 from labos_drivers.inheco.simulator import CLOSES_S, OPENS_S, ROOM_C, SETTLES_S
 
@@ -33,32 +33,29 @@ class InhecoOnWire(OnWire):
         self.heats = False
         self.target = 370
         self._initialised, self._tells_reset = started, not started
-        place = self.place("default")
-        moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
-        if not any(motion.device == self.name for motion in moved):
-            self.shut("default")
-        self.drawer = "0" if self.world.is_shut(place) else "1"
+        self.shut_at_first("default")
+        self.drawer = "0" if self.world.is_shut(self.place("default")) else "1"
         self.plate_known = started
-        self._from_c, self._since_s = ROOM_C, 0.0
+        self._block = Settling(ROOM_C, SETTLES_S, self.now_s)
         self._set = (30, 30, 100, 100, 90)
         self._run = self._set
-        self._heard = b""
+        self._received = b""
 
     def pull(self, *, open_: bool) -> None:
         """Somebody moves the drawer by hand."""
         self.drawer = "1" if open_ else "0"
         self.world.gate("somebody", self.place("default"), shut=not open_)
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while self._heard and len(self._heard) > self._heard[0] > 3:
-            size = self._heard[0] + 1  # its length does not count itself
-            frame, self._heard = self._heard[:size], self._heard[size:]
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while self._received and len(self._received) > self._received[0] > 3:
+            size = self._received[0] + 1  # its length does not count itself
+            frame, self._received = self._received[:size], self._received[size:]
             self._take(frame)
-        if self._heard and self._heard[0] <= 3:
-            self._heard = b""  # noise
+        if self._received and self._received[0] <= 3:
+            self._received = b""  # noise
 
     def _take(self, frame: bytes) -> None:
         if frame[1] != 0x30 + protocol.USUAL_ID:
@@ -73,7 +70,7 @@ class InhecoOnWire(OnWire):
             self._answer("", protocol.BAD_COMMAND)
 
     def _answer(self, text: str, error: int) -> None:
-        self.say(protocol.make_answer(text, error))
+        self.send(protocol.make_answer(text, error))
 
     def _obey(self, name: str, arguments: str) -> tuple[str, int]:
         if self._tells_reset:
@@ -161,16 +158,10 @@ class InhecoOnWire(OnWire):
         return protocol.OK
 
     def _aim(self) -> None:
-        self._from_c, self._since_s = self.compute_temperature(), self.now_s()
-        self._goal_c = self.target / 10 if self.heats else ROOM_C
-
-    _goal_c = ROOM_C
+        self._block.aim(self.target / 10 if self.heats else ROOM_C)
 
     def compute_temperature(self) -> float:
-        """First order, towards what it is set to."""
-        return self._goal_c + (self._from_c - self._goal_c) * math.exp(
-            -(self.now_s() - self._since_s) / SETTLES_S
-        )
+        return self._block.now()
 
     def _set_shaker(self, arguments: str) -> int:
         if not re.fullmatch(r"\d+(,\d+){4}", arguments):

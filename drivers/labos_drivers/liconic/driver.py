@@ -64,10 +64,8 @@ class LiconicDriver(Wired):
     def store(self) -> str:
         """The controller keeps no inventory, and does not notice an occupied slot: it chooses none. Raises
         DeviceError."""
-        raise DeviceError(
-            f"{self.name}: this device does not choose slots.",
-            effects="none",
-            remedy="Name the stacker and the slot: load_plate.",
+        raise self.make_refusal(
+            "this device does not choose slots", "Name the stacker and the slot: load_plate."
         )
 
     @off_loop
@@ -75,9 +73,7 @@ class LiconicDriver(Wired):
         """Bring the plate from a slot, by its name."""
         named = NAMED_SLOT.fullmatch(slot)
         if named is None:
-            raise DeviceError(
-                f"{self.name}: {slot!r} names no slot.", effects="none", remedy="Name it as stacker1_slot7."
-            )
+            raise self.make_refusal(f"{slot!r} names no slot", "Name it as stacker1_slot7.")
         with self.motion():
             self._unload(int(named[1]), int(named[2]))
 
@@ -220,7 +216,7 @@ class LiconicDriver(Wired):
 
     def _check_relay(self, relay: int, value: bool, why: str, remedy: str) -> None:
         if self._read_relay(relay) != value:
-            raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
+            raise self.make_refusal(f"{why}", remedy)
 
     def _make_error(self, effects: str) -> DeviceError:
         code = self._read_word(protocol.ERROR_CODE)
@@ -236,11 +232,7 @@ class LiconicDriver(Wired):
         answer = self.link.exchange(question, self.limit_s("answer", ANSWER_S)).decode("ascii", "replace")
         if answer.startswith("E"):
             why = protocol.REFUSALS.get(answer, "it refuses")
-            raise DeviceError(
-                f"{self.name}: {why} ({answer} to {question.decode()}).",
-                effects="none",
-                remedy="Reset the module.",
-            )
+            raise self.make_refusal(f"{why} ({answer} to {question.decode()})", "Reset the module.")
         return answer
 
     def _read_relay(self, number: int) -> bool:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-import math
 from typing import Any
 
 from labos.node import DeviceError, Setup
-from labos_drivers._simulation import Simulated
+from labos_drivers._simulation import Settling, Simulated
 
 STACKERS = 3
 SLOTS = 22
@@ -20,46 +18,29 @@ def slot_name(stacker: int | str, slot: int | str) -> str:
     return f"stacker{stacker}_slot{slot}"
 
 
-class Climate:
-    """A quantity that goes to its target like a first-order system."""
-
-    def __init__(self, start: float, pace: float) -> None:
-        self.target = self._from = start
-        self._pace = pace
-        self._since = asyncio.get_running_loop().time()
-
-    def now(self) -> float:
-        passed_s = (asyncio.get_running_loop().time() - self._since) * self._pace
-        return round(self.target + (self._from - self.target) * math.exp(-passed_s / SETTLES_S), 1)
-
-    def aim(self, target: float) -> None:
-        self._from, self._since = self.now(), asyncio.get_running_loop().time()
-        self.target = target
-
-
 class LiconicSimulator(Simulated):
     """A shovel between the transfer station and the slots; the controller keeps no inventory."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.temperature = Climate(22.0, setup.pace)
-        self.humidity = Climate(40.0, setup.pace)
+        self.temperature = Settling(22.0, SETTLES_S, self.read_clock)
+        self.humidity = Settling(40.0, SETTLES_S, self.read_clock)
         self.shaking = 0
 
     def read_temperature(self) -> float:
-        return self.temperature.now()
+        return round(self.temperature.now(), 1)
 
     def read_target_temperature(self) -> float:
-        return self.temperature.target
+        return self.temperature.goal
 
     def set_temperature(self, celsius: float) -> None:
         self.temperature.aim(celsius)
 
     def read_humidity(self) -> float:
-        return self.humidity.now()
+        return round(self.humidity.now(), 1)
 
     def read_target_humidity(self) -> float:
-        return self.humidity.target
+        return self.humidity.goal
 
     def set_humidity(self, percent: float) -> None:
         self.humidity.aim(percent)
@@ -76,11 +57,7 @@ class LiconicSimulator(Simulated):
 
     async def unload_plate(self, stacker: int, slot: int) -> None:
         if self.top(self.place("exchange")):
-            raise DeviceError(
-                f"{self.name}: a plate stands on the transfer station.",
-                effects="none",
-                remedy="Take it away.",
-            )
+            raise self.make_refusal("a plate stands on the transfer station", "Take it away.")
         await self._shovel(slot_name(stacker, slot), "exchange", 18)
 
     async def store(self) -> str:
@@ -90,19 +67,15 @@ class LiconicSimulator(Simulated):
             if not self.world.at(self.place(slot)):
                 await self._shovel("exchange", slot, 20)
                 return slot
-        raise DeviceError(
-            f"{self.name}: stacker {OWN} is full.", effects="none", remedy="Take a plate out first."
-        )
+        raise self.make_refusal(f"stacker {OWN} is full", "Take a plate out first.")
 
     async def retrieve(self, slot: str) -> None:
         """Bring the plate from the slot that ``store`` told; without one, the only plate there is."""
         if not slot:
             full = [s for s in (slot_name(OWN, n) for n in range(1, SLOTS + 1)) if self.top(self.place(s))]
             if len(full) != 1:
-                raise DeviceError(
-                    f"{self.name}: there are {len(full)} plates in stacker {OWN}; nobody said which.",
-                    effects="none",
-                    remedy="Name the slot.",
+                raise self.make_refusal(
+                    f"there are {len(full)} plates in stacker {OWN}; nobody said which", "Name the slot."
                 )
             (slot,) = full
         await self._shovel(slot, "exchange", 18)
@@ -119,19 +92,15 @@ class LiconicSimulator(Simulated):
             self.world.enter(self.name, self.place(source))
             await self.take_time(0.4 * nominal_s)
             if source != "exchange" and self.top(self.place(source)):
-                self.world.work(self.name, "cool", self.place(source), at_h=self._hours())
+                self.world.work(self.name, "cool", self.place(source), at_h=self.read_clock() / 3600)
             self.world.grip(self.name, self.place(source))
             await self.take_time(0.3 * nominal_s)
             self.world.enter(self.name, self.place(target))
             self.world.release(self.name, self.place(target))
             if target != "exchange":
-                warm = {"at_h": self._hours(), "celsius": self.temperature.target}
+                warm = {"at_h": self.read_clock() / 3600, "celsius": self.temperature.goal}
                 self.world.work(self.name, "incubate", self.place(target), **warm)
             await self.take_time(0.3 * nominal_s)
-
-    def _hours(self) -> float:
-        """Lab time by this machine's clock; only differences mean something."""
-        return asyncio.get_running_loop().time() * self._setup.pace / 3600.0
 
     def observe(self) -> dict[str, Any]:
         """Two plate sensors: shovel and transfer station."""
@@ -139,6 +108,6 @@ class LiconicSimulator(Simulated):
             "shaking": bool(self.shaking),
             "labware": {
                 "exchange": bool(self.top(self.place("exchange"))),
-                "gripper": bool(self.top(f"hand:{self.name}")),
+                "gripper": bool(self.find_held_plate()),
             },
         }

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from labos.node import Case, Fault, Foreign, Torture, World
+from labos.node import Case, Fault, Foreign, Torture
+from labos_drivers._torture import occupy, remove_plate
 from labos_drivers.liconic.wire import LiconicOnWire
 
 HERE = "labos_drivers.liconic.driver"
-
-
-def _remove_plate(liconic: LiconicOnWire, world: World) -> None:
-    world.carry(liconic.top(liconic.place("exchange")), "")
-
-
-def _fill_slot(liconic: LiconicOnWire, world: World) -> None:
-    world.stock(liconic.place("stacker1_slot2"), "plate96")
 
 
 TORTURE = Torture(
@@ -27,8 +20,8 @@ TORTURE = Torture(
         Case("set_target_humidity", {"humidity": 80.0}),
     ),
     faults=(
-        Fault("no plate on the transfer station", _remove_plate),
-        Fault("a plate in the slot already", _fill_slot),
+        Fault("no plate on the transfer station", remove_plate("exchange")),
+        Fault("a plate in the slot already", occupy("stacker1_slot2")),
     ),
     settings={"parity": "N"},  # a pseudo-terminal takes even parity once; who connects again is refused
     motion="load_plate",

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
-import time
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
+from labos_drivers._simulation import Settling
 from labos_drivers.liconic import protocol
 from labos_drivers.liconic.simulator import SETTLES_S, slot_name
 
@@ -16,9 +15,11 @@ TARGETS = {protocol.TEMPERATURE_NOW: protocol.TEMPERATURE, protocol.HUMIDITY_NOW
 EXPORT_BLOCKED, NO_PLATE, GENERAL = 13, 16, 1
 
 
-class LiconicOnWire(OnWire):
+class LiconicOnWire(OnLine):
     """What the device is and does. ``started``: it has been switched on and initialised before. ``stale_s``:
     so long after a reset or start its ready flag shows the state before."""
+
+    line_end = b"\r"
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
@@ -29,21 +30,16 @@ class LiconicOnWire(OnWire):
         self.initialised = 0
         self._is_open = False
         self._error = 0
-        self._from = {protocol.TEMPERATURE: (220.0, 0.0), protocol.HUMIDITY: (400.0, 0.0)}
-        self._heard = b""
+        self._climate = {word: Settling(value, SETTLES_S, self.now_s) for word, value in self.words.items()}
 
     def power_cycle(self) -> None:
         """Off and on: the conversation is closed, and the device has to be initialised."""
         self._is_open = self.ready = False
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\r" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\r")
-            answer = self._answer(line.strip().decode("ascii", "replace"))
-            self.say(answer.encode() + protocol.ANSWER_END)
+    def obey(self, line: str) -> None:
+        self.send(self._answer(line).encode() + protocol.ANSWER_END)
 
     def _answer(self, line: str) -> str:
         if line == "CR":
@@ -75,27 +71,21 @@ class LiconicOnWire(OnWire):
             case protocol.ON_STATION:
                 return bool(self.top(self.place("exchange")))
             case protocol.ON_SHOVEL:
-                return bool(self.top(f"hand:{self.name}"))
+                return bool(self.find_held_plate())
         return False
 
     def _read_word(self, number: int) -> int:
         if number == protocol.ERROR_CODE:
             return self._error
         if number in TARGETS:
-            return round(self._read_climate(TARGETS[number]))
+            return round(self._climate[TARGETS[number]].now())
         return self.words.get(number, 0)
-
-    def _read_climate(self, target: int) -> float:
-        """A quantity that goes to its target like a first-order system."""
-        began, since_s = self._from[target]
-        goal = self.words[target]
-        return goal + (began - goal) * math.exp(-(self.now_s() - since_s) / SETTLES_S)
 
     def _write(self, number: int, value: int) -> str:
         if number in TARGETS:
             return "E4"
-        if number in self._from:
-            self._from[number] = self._read_climate(number), self.now_s()
+        if number in self._climate:
+            self._climate[number].aim(value)
         self.words[number] = value
         return "OK"
 
@@ -147,7 +137,7 @@ class LiconicOnWire(OnWire):
             self._fail(NO_PLATE)
             return
         if source != "exchange":
-            self.world.work(self.name, "cool", self.place(source), at_h=self._hours())
+            self.world.work(self.name, "cool", self.place(source), at_h=self.read_clock() / 3600)
         self.world.grip(self.name, self.place(source))
         self.after(0.3 * nominal_s, lambda: self._place(target, 0.3 * nominal_s))
 
@@ -155,13 +145,9 @@ class LiconicOnWire(OnWire):
         self.world.enter(self.name, self.place(target))
         self.world.release(self.name, self.place(target))
         if target != "exchange":
-            warm = {"at_h": self._hours(), "celsius": self.words[protocol.TEMPERATURE] / 10}
+            warm = {"at_h": self.read_clock() / 3600, "celsius": self.words[protocol.TEMPERATURE] / 10}
             self.world.work(self.name, "incubate", self.place(target), **warm)
         self.after(back_s, self._become_ready)
-
-    def _hours(self) -> float:
-        """Lab time by this machine's clock; only differences mean something."""
-        return time.monotonic() * self._pace / 3600.0
 
     def _become_ready(self) -> None:
         self.ready = True

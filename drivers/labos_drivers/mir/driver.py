@@ -8,10 +8,10 @@ import time
 from math import hypot, isfinite
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
-from labos.node.node import handle_keeper
+from labos.node.node import note_handle
 from labos.node.secrets import read_secret
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.mir import protocol
@@ -76,16 +76,13 @@ class MiRDriver(Wired):
         would go on with it by itself."""
         self.resume()
         self._give_up()
-        self._parse_data(
-            self.link.exchange("PUT", "/status", json={"clear_error": True}, timeout_s=self._answer_s)
-        )
+        self._ask("PUT", "/status", {"clear_error": True})
         self._set_state(protocol.READY)
         status = self._read_status()
         if status["state_id"] not in (protocol.READY, protocol.EXECUTING):
-            raise DeviceError(
-                f"{self.name}: it is not ready, but {status.get('state_text')}.",
-                effects="none",
-                remedy="Release its emergency stop and turn its key to automatic, then reset the module.",
+            raise self.make_refusal(
+                f"it is not ready, but {status.get('state_text')}",
+                "Release its emergency stop and turn its key to automatic, then reset the module.",
             )
 
     @during_motion
@@ -115,9 +112,7 @@ class MiRDriver(Wired):
 
     async def _go(self, kind: str, target: str) -> None:
         name = f"labos-{secrets.token_hex(8)}"
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(name)
+        await note_handle(name)
         await self._drive(kind, target, name)
 
     @off_loop
@@ -155,9 +150,7 @@ class MiRDriver(Wired):
     def _queue(self, mission: str, name: str) -> int:
         body = {"mission_id": mission, "priority": 0, "message": name}
         try:
-            return int(
-                self._parse_data(self.link.post("/mission_queue", json=body, timeout_s=self._answer_s))["id"]
-            )
+            return int(self._ask("POST", "/mission_queue", body)["id"])
         except LinkError as error:
             if error.effects == "none":
                 raise
@@ -175,11 +168,7 @@ class MiRDriver(Wired):
             while True:
                 if self._halted.is_set():
                     self._give_up()  # it may have been queued just after the stop
-                answer = self._retry(
-                    lambda: self._parse_data(
-                        self.link.get(f"/mission_queue/{entry}", timeout_s=self._answer_s)
-                    )
-                )
+                answer = self._retry(lambda: self._ask("GET", f"/mission_queue/{entry}"))
                 state = answer.get("state")
                 if state == protocol.DONE:
                     break
@@ -214,9 +203,7 @@ class MiRDriver(Wired):
     def _find_entry(self, name: str) -> int | None:
         """The entry of the queue with this message."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
-        found = self._parse_list(
-            self.link.post("/mission_queue/search", json=wanted, timeout_s=self._answer_s)
-        )
+        found = self._ask_list("POST", "/mission_queue/search", wanted)
         return int(found[-1]["id"]) if found else None
 
     def _find_mission(self, kind: str, position: str) -> str:
@@ -224,58 +211,41 @@ class MiRDriver(Wired):
         interrupted while it was made has no step yet."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
-        found = self._parse_list(self.link.post("/missions/search", json=wanted, timeout_s=self._answer_s))
+        found = self._ask_list("POST", "/missions/search", wanted)
         guid = str((found[0] if found else self._make_mission(name))["guid"])
         steps = f"/missions/{guid}/actions"
-        if not self._parse_list(self.link.get(steps, timeout_s=self._answer_s)):
-            self._parse_data(
-                self.link.post(steps, json=protocol.make_steps(kind, position), timeout_s=self._answer_s)
-            )
+        if not self._ask_list("GET", steps):
+            self._ask("POST", steps, protocol.make_steps(kind, position))
         return guid
 
     def _make_mission(self, name: str) -> Any:
-        groups = self._parse_data(self.link.get("/mission_groups", timeout_s=self._answer_s))
+        groups = self._ask("GET", "/mission_groups")
         body = {"name": name, "description": "", "group_id": groups[0]["guid"]}
-        return self._parse_data(self.link.post("/missions", json=body, timeout_s=self._answer_s))
+        return self._ask("POST", "/missions", body)
 
     def _retry(self, ask: Any) -> Any:
         """Ask again a robot that cannot be reached for a while, as between two access points."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return ask()
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        return self.ask_again(ask, self.limit_s("lost", LOST_S), POLL_S)
 
     # -- one answer --------------------------------------------------------------------------
 
     def _read_status(self) -> dict[str, Any]:
-        status = self._parse_data(self.link.get("/status", timeout_s=self._answer_s))
+        status = self._ask("GET", "/status")
         if not isinstance(status, dict) or not isinstance(status.get("state_id"), int):
             raise Garbled(f"{self.name}: the answer does not contain the robot's state.")
         return status
 
     def _set_state(self, state: int) -> None:
-        self._parse_data(
-            self.link.exchange("PUT", "/status", json={"state_id": state}, timeout_s=self._answer_s)
-        )
+        self._ask("PUT", "/status", {"state_id": state})
 
     def _list_positions(self, status: dict[str, Any]) -> list[dict[str, Any]]:
-        found = self._parse_list(
-            self.link.get(f"/maps/{status.get('map_id')}/positions", timeout_s=self._answer_s)
-        )
-        return [self._read_position(position) if "pos_x" not in position else position for position in found]
+        found = self._ask_list("GET", f"/maps/{status.get('map_id')}/positions")
+        return [self._read_position(position) for position in found]
 
     def _read_position(self, position: dict[str, Any]) -> dict[str, Any]:
         if "pos_x" in position:
             return position
-        return dict(
-            self._parse_data(self.link.get(f"/positions/{position['guid']}", timeout_s=self._answer_s))
-        )
+        return dict(self._ask("GET", f"/positions/{position['guid']}"))
 
     def _measure_distance(self, status: dict[str, Any], position: dict[str, Any]) -> float:
         here = status.get("position") or {}
@@ -297,6 +267,10 @@ class MiRDriver(Wired):
                 remedy="Check the robot, then reset the module.",
             )
 
+    def _ask(self, method: str, path: str, body: Any = None) -> Any:
+        """The data of the answer. Raises DeviceError."""
+        return self._parse_data(self.link.exchange(method, path, json=body, timeout_s=self._answer_s))
+
     def _parse_data(self, reply: HttpReply) -> Any:
         """Raises DeviceError for a refusal, Garbled for what is no answer of a MiR, and where its server
         failed, which does not tell what came of the question."""
@@ -308,12 +282,11 @@ class MiRDriver(Wired):
             why = json.loads(reply.body)["error_human"]
         except (ValueError, KeyError, TypeError):
             why = f"status {reply.status}"
-        raise DeviceError(
-            f"{self.name}: the robot refuses: {why}.", effects="none", remedy="Check the robot."
-        )
+        raise self.make_refusal(f"the robot refuses: {why}", "Check the robot.")
 
-    def _parse_list(self, reply: HttpReply) -> list[Any]:
+    def _ask_list(self, method: str, path: str, body: Any = None) -> list[Any]:
         """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""
+        reply = self.link.exchange(method, path, json=body, timeout_s=self._answer_s)
         data = self._parse_data(reply)
         if not isinstance(data, list):
             raise Garbled(f"{self.name}: {reply.body[:80]!r} is not a list.")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from labos.node import DeviceError, Param, Sets, Station, action
+from labos.node import Param, Sets, Station, action
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.mir.driver import MiRDriver
 from labos_drivers.mir.simulator import MiRSimulator
@@ -22,6 +22,7 @@ class MiR(OnBenchOrWire):
     models = ("MiR250", "MiR100", "mir")
     stations = (Station("deck", kind="exchange", claim=False),)
     variables = {"position": ""}
+    follows = ("move", "dock")
     devices = (MiRSimulator, MiROnWire, MiRDriver)
     device: MiRSimulator | MiRDriver
 
@@ -34,10 +35,3 @@ class MiR(OnBenchOrWire):
     async def dock(self, target: Position) -> None:
         """Dock at a marker."""
         await self.device.dock(target)
-
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name == "reset" or not isinstance(self.device, MiRDriver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
-        return await self.device.follow(handle)

@@ -46,7 +46,7 @@ class MiROnWire(OnHttp):
         self.missions: dict[str, dict[str, Any]] = {}
         self._key = protocol.make_authorization(user, password)
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
     def answer(self, request: Request) -> Reply:
         if request.headers.get("authorization") != self._key:

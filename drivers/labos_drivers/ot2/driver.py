@@ -10,9 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown, WrongDevice
+from labos.errors import DeviceError, Garbled, LinkError, NotConnected, OutcomeUnknown
 from labos.link import HttpLink, HttpReply
 from labos.node import Setup
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
 from labos_drivers.ot2 import protocol
 from labos_drivers.ot2.deck import read_definitions, read_offsets
@@ -68,19 +69,14 @@ class OT2Driver(Wired):
                 files += [("files", definition) for definition in self._definitions]
             given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
             form = {key: json.dumps(value) for key, value in given.items()}
-            uploaded = self._parse_data(
-                self.link.post(
-                    "/protocols", files=files, form=form, timeout_s=self.limit_s("upload", UPLOAD_S)
-                )
-            )
-            held = self._parse_id(uploaded)
+            upload_s, create_s = self.limit_s("upload", UPLOAD_S), self.limit_s("create", CREATE_S)
+            uploaded = self.link.post("/protocols", files=files, form=form, timeout_s=upload_s)
+            held = self._parse_id(self._parse_data(uploaded))
             self._await_analysis(held)
             body: dict[str, dict[str, Any]] = {"data": {"protocolId": held, **given}}
             if self._offsets:
                 body["data"]["labwareOffsets"] = self._offsets
-            made = self._parse_data(
-                self.link.post("/runs", json=body, timeout_s=self.limit_s("create", CREATE_S))
-            )
+            made = self._parse_data(self.link.post("/runs", json=body, timeout_s=create_s))
             run = self._parse_id(made)
             self._check_offsets(run, made)
             return run
@@ -105,11 +101,11 @@ class OT2Driver(Wired):
             self._run = run
             with self.under_way():
                 try:
-                    begun = not self._is_fresh(self._poll_state(run)) or not self._give_up(run)
+                    begun = not self._take_back(run)
                 except _Forgotten as error:
                     raise OutcomeUnknown(error.message) from error
             if not begun:
-                raise DeviceError(f"{self.name}: the run {run} was never started.", effects="none")
+                raise self.make_refusal(f"the run {run} was never started")
             return self._await_end(run)
 
     @during_motion
@@ -124,11 +120,7 @@ class OT2Driver(Wired):
                 f"{self.name}: nothing can be resumed: {why}." if run else f"{self.name}: no run waits.",
                 effects="none",
             )
-        self._parse_data(
-            self.link.post(
-                f"/runs/{run}/actions", json={"data": {"actionType": action}}, timeout_s=self._answer_s
-            )
-        )
+        self._parse_data(self._act(run, action))
 
     # -- the device itself -------------------------------------------------------------------
 
@@ -137,9 +129,7 @@ class OT2Driver(Wired):
         """Cancels the run; the robot stops at once and homes its gantry."""
         self._halted.set()
         if self._run:
-            reply = self.link.post(
-                f"/runs/{self._run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
-            )
+            reply = self._act(self._run, "stop")
             if reply.status not in (404, 409):  # it has ended by itself
                 self._parse_data(reply)
 
@@ -149,9 +139,7 @@ class OT2Driver(Wired):
         self.resume()
         run = self._find_current_run()
         if run and self._read_state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
-            self.link.post(
-                f"/runs/{run}/actions", json={"data": {"actionType": "stop"}}, timeout_s=self._answer_s
-            )
+            self._act(run, "stop")
             with self.under_way(), suppress(_Ended):
                 self._await_end(run)
         with self.under_way():
@@ -183,14 +171,10 @@ class OT2Driver(Wired):
         """Name and content of the file, in the form that the robot takes. Raises DeviceError."""
         file = Path(path)
         if not file.is_file():
-            raise DeviceError(
-                f"{self.name}: there is no protocol file {path}.", effects="none", remedy="Check its name."
-            )
+            raise self.make_refusal(f"there is no protocol file {path}", "Check its name.")
         content = file.read_bytes()
         if len(content) > LARGEST:
-            raise DeviceError(
-                f"{self.name}: {file.name} has {len(content)} bytes; {LARGEST} are allowed.", effects="none"
-            )
+            raise self.make_refusal(f"{file.name} has {len(content)} bytes; {LARGEST} are allowed")
         _check_volumes(self.name, values)
         match file.suffix.lower():
             case ".py":
@@ -199,10 +183,8 @@ class OT2Driver(Wired):
                 return file.name, content
             case ".yaml" | ".yml":
                 return f"{file.stem}.py", protocol.with_values(translate(file.name, content), values)
-        raise DeviceError(
-            f"{self.name}: {file.name} is not a protocol for an OT-2.",
-            effects="none",
-            remedy="Write it in Python, as a JSON protocol or as YAML.",
+        raise self.make_refusal(
+            f"{file.name} is not a protocol for an OT-2", "Write it in Python, as a JSON protocol or as YAML."
         )
 
     def _await_analysis(self, name: str) -> None:
@@ -229,17 +211,12 @@ class OT2Driver(Wired):
                     )
                 return
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"{self.name}: the protocol was not analysed within {limit_s:g} s.",
-                    effects="none",
-                )
+                raise self.make_refusal(f"the protocol was not analysed within {limit_s:g} s")
             time.sleep(POLL_S)
 
     def _play(self, run: str) -> None:
         self.check_not_stopped()
-        reply = self.link.post(
-            f"/runs/{run}/actions", json={"data": {"actionType": "play"}}, timeout_s=self._answer_s
-        )
+        reply = self._act(run, "play")
         if reply.status >= 500:
             raise Garbled(f"{self.name}: {self._make_refusal(reply, '').message} It may have started.")
         if not reply.ok:
@@ -250,19 +227,16 @@ class OT2Driver(Wired):
         """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
         up, so that it cannot begin later."""
         with self.under_way():
-            if not self._is_fresh(self._poll_state(run)) or not self._give_up(run):
+            if not self._take_back(run):
                 return True
         error.effects = "none"
         return False
 
-    @staticmethod
-    def _is_fresh(state: dict[str, Any]) -> bool:
-        """Whether a run waits for its first ``play``."""
-        return state["status"] == protocol.IDLE and state.get("actions") == []
-
-    def _give_up(self, run: str) -> bool:
-        """Take a run back that has not begun; False if the robot says that it has. Raises LinkError."""
-        return self._retire(run).ok
+    def _take_back(self, run: str) -> bool:
+        """Take a run back that waits for its first ``play``; False if it has begun. Raises LinkError."""
+        state = self._poll_state(run)
+        is_fresh = state["status"] == protocol.IDLE and state.get("actions") == []
+        return is_fresh and self._retire(run).ok
 
     def _await_end(self, run: str) -> dict[str, Any]:
         try:
@@ -311,16 +285,7 @@ class OT2Driver(Wired):
     def _poll_state(self, run: str) -> dict[str, Any]:
         """The state of a run, which goes on without this node: a robot that cannot be reached for a while is
         asked again."""
-        deadline = time.monotonic() + self.limit_s("lost", LOST_S)
-        while True:
-            try:
-                return self._read_state(run)
-            except WrongDevice:
-                raise
-            except LinkError:
-                if time.monotonic() > deadline:
-                    raise
-            time.sleep(POLL_S)
+        return self.ask_again(lambda: self._read_state(run), self.limit_s("lost", LOST_S), POLL_S)
 
     def _read_state(self, run: str) -> dict[str, Any]:
         reply = self.link.get(f"/runs/{run}", timeout_s=self._answer_s)
@@ -351,6 +316,10 @@ class OT2Driver(Wired):
         """Make the robot free for others; a failure does no harm."""
         with suppress(DeviceError):
             self._retire(run)
+
+    def _act(self, run: str, action: str) -> HttpReply:
+        body = {"data": {"actionType": action}}
+        return self.link.post(f"/runs/{run}/actions", json=body, timeout_s=self._answer_s)
 
     def _retire(self, run: str) -> HttpReply:
         return self.link.exchange(
@@ -416,9 +385,6 @@ def _check_volumes(name: str, values: Mapping[str, Any]) -> None:
         which = "source" if key == "source_volumes" else "destination"
         wells = values.get(f"{which}_wells") or []
         if len(volumes) != len(wells):
-            raise DeviceError(
-                f"{name}: {key} has {len(volumes)} volumes for {len(wells)} {which} wells.",
-                effects="none",
-            )
+            raise make_refusal(name, f"{key} has {len(volumes)} volumes for {len(wells)} {which} wells")
         if not all(math.isfinite(volume) and volume >= 0 for volume in volumes):
-            raise DeviceError(f"{name}: {key} has volumes below 0.", effects="none")
+            raise make_refusal(name, f"{key} has volumes below 0")

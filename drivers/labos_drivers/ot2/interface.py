@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any, ClassVar
 
 from labos.core.counts import Counter
-from labos.node import Consumes, DeviceError, Draws, Needs, Param, Requires, Station, Transfers, action
+from labos.node import Consumes, Draws, Needs, Param, Requires, Station, Transfers, action
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.ot2.driver import OT2Driver
 from labos_drivers.ot2.simulator import SLOTS, OT2Simulator
@@ -28,6 +28,7 @@ class OT2(OnBenchOrWire):
     stations = tuple(Station(slot, kind="deck") for slot in SLOTS)
     levels = {"tips": 960}
     units = dict.fromkeys(LIQUIDS, "uL")
+    follows, not_started = ("run_protocol",), "no run was started"
     devices = (OT2Simulator, OT2OnWire, OT2Driver)
     counters: ClassVar[dict[str, Counter]] = {"tips": count_used_tips}
     device: OT2Simulator | OT2Driver
@@ -120,10 +121,3 @@ class OT2(OnBenchOrWire):
         """What its run waits for."""
         waits_for = self.device.waits_for if isinstance(self.device, OT2Driver) else ""
         return f"{waits_for[0].upper()}{waits_for[1:]} (resume_run, or the robot's App)." if waits_for else ""
-
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name != "run_protocol" or not isinstance(self.device, OT2Driver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise DeviceError(f"{self.setup.name}: no run was started.", effects="none")
-        return await self.device.follow(handle)

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from labos.node import DeviceError, Setup
+from labos.node import Setup
 from labos_drivers._deck import Deck, make_facts
 
 SLOTS = (*(f"deck{number}" for number in range(1, 12)), "deck1_cooler")
@@ -65,7 +65,7 @@ class OT2Simulator(Deck):
 
     async def resume_run(self) -> None:
         """A simulated gantry waits for nobody."""
-        raise DeviceError(f"{self.name}: no run waits.", effects="none")
+        raise self.make_refusal("no run waits")
 
 
 def find_dispensed(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:

@@ -99,7 +99,7 @@ class OT2OnWire(OnHttp):
             running.kill()
         self._running.clear()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(timeout_s)
@@ -364,8 +364,7 @@ class OT2OnWire(OnHttp):
         wells = values.get("destination_wells") or []
         reached = self._find_reached_plates(ran)
         for slot in reached:
-            if self.is_sealed(self.top(slot)):
-                self.world.crash(self.name, slot, "drives its tips into a seal")
+            self.crash_if_sealed(slot, "drives its tips into a seal")
             self.crash_if_lidded(slot, "drives its tips into a lid")
         for liquid, doses in volumes.items():
             if self.world.find_level(self.name, liquid) is not None:

@@ -74,7 +74,6 @@ class PF400Driver(Wired):
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
         config = setup.config
-        self._setup = setup
         self._hand = Hand(setup.name, config)
         self._lid_mm = float(config.get("lid_mm", LID_MM))
         self._above_mm = float(config.get("approach_mm", APPROACH_MM))
@@ -158,7 +157,7 @@ class PF400Driver(Wired):
             width = self._check_ready()[GRIPPER]
             fingers = self._hand.read(width)
             if fingers.state in ("open", "shut"):
-                raise DeviceError(f"{self.name}: its hand is empty.", effects="none")
+                raise self.make_refusal("its hand is empty")
             # The lab knows that something is in the hand, also where its width alone does not tell.
             grip = fingers.grip or self._hand.guess_grip(width, kind)
             self._hand.grasp(grip, width)
@@ -305,18 +304,15 @@ class PF400Driver(Wired):
         if before.name == after.name:
             return ()
         if not place:
-            raise DeviceError(
-                f"{self.name}: it has no place where it could change from {before.name} to {after.name}.",
-                effects="none",
-                remedy="Write `regrip:` for the module in the workcell file, or `rotation_deck:` for a step.",
+            raise self.make_refusal(
+                f"it has no place where it could change from {before.name} to {after.name}",
+                "Write `regrip:` for the module in the workcell file, or `rotation_deck:` for a step.",
             )
         narrow = self._find_spot(place, kind)
         pose = kinematics.turn_hand(narrow.pose, 90.0, self._limits)
         if pose is None:
-            raise DeviceError(
-                f"{self.name}: it cannot turn its hand at {place}.",
-                effects="none",
-                remedy="Teach this place nearer to the rail, or another one.",
+            raise self.make_refusal(
+                f"it cannot turn its hand at {place}", "Teach this place nearer to the rail, or another one."
             )
         wide = narrow._replace(pose=pose)
         return (narrow, wide) if before.name == "narrow" else (wide, narrow)
@@ -343,16 +339,14 @@ class PF400Driver(Wired):
     def _make_not_taken_error(self, place: str) -> DeviceError:
         """The error for an arm that has come back without a plate."""
         if self._too_wide_mm is not None:
-            return DeviceError(
-                f"{self.name}: what stands at {place} is {self._too_wide_mm:.1f} mm wide between the "
-                "fingers, as if they were open; it was let go where it stood.",
-                effects="none",
-                remedy="Say how wide it is gripped: `grips_of:` in the module's config.",
+            return self.make_refusal(
+                f"what stands at {place} is {self._too_wide_mm:.1f} mm wide between the "
+                "fingers, as if they were open; it was let go where it stood",
+                "Say how wide it is gripped: `grips_of:` in the module's config.",
             )
-        return DeviceError(
-            f"{self.name}: nothing came between the fingers at {place}.",
-            effects="none",
-            remedy="Look whether a plate is there, and where it was taught.",
+        return self.make_refusal(
+            f"nothing came between the fingers at {place}",
+            "Look whether a plate is there, and where it was taught.",
         )
 
     def _place(self, spot: Spot, grip: Grip) -> None:
@@ -500,18 +494,15 @@ class PF400Driver(Wired):
         if state == "holding":
             raise self._make_hand_full_error()
         if state != "open":
-            raise DeviceError(
-                f"{self.name}: it is not known whether its hand is empty: the fingers are "
-                f"{here[GRIPPER]:.1f} mm apart; open they are {self._hand.describe_widths()}.",
-                effects="none",
-                remedy="Look. If it holds something: put_down. If it does not: open_fingers. A plate of this "
+            raise self.make_refusal(
+                f"it is not known whether its hand is empty: the fingers are "
+                f"{here[GRIPPER]:.1f} mm apart; open they are {self._hand.describe_widths()}",
+                "Look. If it holds something: put_down. If it does not: open_fingers. A plate of this "
                 "width is described by `grips_of:` in the module's config.",
             )
 
     def _make_hand_full_error(self) -> DeviceError:
-        return DeviceError(
-            f"{self.name}: its hand is full.", effects="none", remedy="Put down what it holds: put_down."
-        )
+        return self.make_refusal("its hand is full", "Put down what it holds: put_down.")
 
     def _choose_grip(self, wanted: str, pose: Joints, kind: str) -> Grip:
         """The requested grip, else the one with which the place was taught."""
@@ -536,10 +527,8 @@ class PF400Driver(Wired):
         joints = len(protocol.AXES) if self._stands_on_rail() else RAIL
         if pose is None or not joints <= len(pose) <= len(protocol.AXES):
             wrong = "was not taught" if pose is None else f"was taught with {len(pose)} joints, not {joints}"
-            raise DeviceError(
-                f"{self.name}: the place {place} {wrong}.",
-                effects="none",
-                remedy="Teach it: `locations:` of the workcell file.",
+            raise self.make_refusal(
+                f"the place {place} {wrong}", "Teach it: `locations:` of the workcell file."
             )
         return tuple(pose) if self._stands_on_rail() else (*pose[:RAIL], 0.0)
 
@@ -555,11 +544,10 @@ class PF400Driver(Wired):
             for axis, (low, high) in enumerate(self._limits):
                 value = pose[axis]
                 if not low <= value <= high and axis != GRIPPER:
-                    raise DeviceError(
-                        f"{self.name}: {spot.name} is out of reach: {protocol.AXES[axis]} at {value:g}, "
-                        f"limits {low:g} to {high:g}.",
-                        effects="none",
-                        remedy="Teach the place again.",
+                    raise self.make_refusal(
+                        f"{spot.name} is out of reach: {protocol.AXES[axis]} at {value:g}, "
+                        f"limits {low:g} to {high:g}",
+                        "Teach the place again.",
                     )
 
     # -- one question ------------------------------------------------------------------------

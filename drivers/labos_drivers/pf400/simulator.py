@@ -62,7 +62,7 @@ class PF400Simulator(Arm):
     async def open_fingers(self, wide: bool) -> None:
         with self.motion():
             if self.find_held_plate():
-                raise DeviceError(f"{self.name}: its hand is full.", effects="none")
+                raise self.make_refusal("its hand is full")
             await self.take_time(1)
 
     async def unlid(
@@ -92,7 +92,7 @@ class PF400Simulator(Arm):
         """A hand may guide it now."""
         with self.motion():
             if self.find_held_plate():
-                raise DeviceError(f"{self.name}: its hand is full.", effects="none")
+                raise self.make_refusal("its hand is full")
             await self.take_time(2)
             self._become(free=True)
 

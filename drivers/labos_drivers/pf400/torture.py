@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.node import Case, Fault, Foreign, Setup, Torture, World
+from labos_drivers._torture import is_holding, is_moving_empty, occupy, remove_plate
 from labos_drivers.pf400.protocol import NARROW
 from labos_drivers.pf400.wire import PF400OnWire
 
@@ -24,28 +25,12 @@ def _open_fingers(arm: PF400OnWire, world: World) -> None:
     arm.set_fingers(NARROW.open_mm)
 
 
-def _remove_plate(arm: PF400OnWire, world: World) -> None:
-    world.carry(arm.top("bench.source"), "")
-
-
-def _occupy_target(arm: PF400OnWire, world: World) -> None:
-    world.stock("bench.target", "plate96")
-
-
 def _press_stop(arm: PF400OnWire, world: World) -> None:
     arm.press_stop()
 
 
 def _release_stop(arm: PF400OnWire, world: World) -> None:
     arm.stop_is_pressed = False
-
-
-def _is_moving_empty(arm: PF400OnWire, world: World) -> bool:
-    return arm.is_in_motion and not world.at(f"hand:{arm.name}")
-
-
-def _is_holding(arm: PF400OnWire, world: World) -> bool:
-    return bool(world.at(f"hand:{arm.name}"))
 
 
 TORTURE = Torture(
@@ -59,8 +44,8 @@ TORTURE = Torture(
         Case("put_down", {"target": "bench.target"}, stock={"bench.source": "plate96"}, refused="is empty"),
     ),
     faults=(
-        Fault("no plate at the source", _remove_plate),
-        Fault("a plate at the target already", _occupy_target),
+        Fault("no plate at the source", remove_plate("bench.source")),
+        Fault("a plate at the target already", occupy("bench.target")),
         Fault.by_setting("it loses the plate on its way", "is_slippery"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
     ),
@@ -70,7 +55,7 @@ TORTURE = Torture(
         "bench.regrip": [188.2, -12.506, 251.918, 388.242, 80.116, 151.300],
     },
     regrip="bench.regrip",
-    moments=(_is_moving_empty, _is_holding),
+    moments=(is_moving_empty, is_holding),
     clear=_open_fingers,
     waits={f"{HERE}:ANSWER_S": 3.0, f"{HERE}:MOVE_S": 15.0, f"{HERE}:HOME_S": 15.0, f"{HERE}:POWER_S": 10.0},
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),

@@ -14,7 +14,7 @@ from math import dist
 from labos.link import FarEnd, TcpEnd
 from labos.node import Crash, Setup
 from labos.node.world import lid_of
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers._simulation import place_of
 from labos_drivers.pf400 import kinematics, protocol
 from labos_drivers.pf400.kinematics import Joints
@@ -28,7 +28,7 @@ SQUEEZE_MM = 12.0
 COLLISION = -3100
 
 
-class PF400OnWire(OnWire):
+class PF400OnWire(OnLine):
     """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
     holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip;
     ``has_rail``: an arm without one tells five joints."""
@@ -53,13 +53,12 @@ class PF400OnWire(OnWire):
         self.wider_mm = 0.0
         # What it held when its power went it holds still.
         grip = protocol.NARROW
-        fingers = grip.closed_mm if self.top(f"hand:{self.name}") else grip.open_mm
+        fingers = grip.closed_mm if self.find_held_plate() else grip.open_mm
         self.joints: Joints = (*protocol.NEUTRAL, fingers, 0.0)
         self._way: tuple[Joints, Joints, float, float] | None = None
         self._motion = 0
         self._then: Callable[[], None] | None = None
         self._lines: deque[str] = deque()
-        self._heard = b""
         self._deaf = False
         self.free_axes: set[int] = set()
         self._grips = {"open": protocol.NARROW.open_mm, "closed": protocol.NARROW.closed_mm}
@@ -85,13 +84,10 @@ class PF400OnWire(OnWire):
         """Somebody moves its fingers by hand, round a plate or away from one."""
         self.joints = (*self.joints[:4], width_mm, *self.joints[5:])
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
-            self._lines.append(line.strip().decode("ascii", "replace"))
+    def obey(self, line: str) -> None:
+        self._lines.append(line)
         self._obey_all()
 
     def _obey_all(self) -> None:
@@ -320,8 +316,7 @@ class PF400OnWire(OnWire):
         if then is not None:
             then()
         else:
-            self._deaf = False
-            self._obey_all()
+            self._listen_again()
 
     def _compute_joints(self) -> Joints:
         if self._way is None:
@@ -342,13 +337,7 @@ class PF400OnWire(OnWire):
             self._send_done()
             return
         self._deaf = True
-
-        def finish() -> None:
-            self._deaf = False
-            self._send_done()
-            self._obey_all()
-
-        self._then = finish
+        self._then = lambda: self._listen_again("")
 
     def _move_one(self, words: list[str]) -> None:
         target = list(self._compute_joints())
@@ -382,34 +371,23 @@ class PF400OnWire(OnWire):
 
     def _grasp(self, width: float) -> bool:
         """Close the fingers; returns whether something is between them."""
-        if self.top(f"hand:{self.name}"):
+        if self.find_held_plate():
             held = True
         else:
             place = self._find_spot()
             held = bool(place and self.world.at(place))
             if held:
                 self.world.grip(self.name, place, _name_grip(width))
-        self.joints = (
-            *self.joints[:4],
-            width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0),
-            *self.joints[5:],
-        )
+        self.set_fingers(width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0))
         return held
 
     def _let_go(self, width: float) -> None:
-        if self.top(f"hand:{self.name}") and width > self.joints[4]:
+        if self.find_held_plate() and width > self.joints[4]:
             place = self._find_spot()
             if not place:
                 self.world.crash(self.name, self.name, "drops a plate")
-            if self.is_waste(place):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place, _name_grip(width))
-        self.joints = (*self.joints[:4], width, *self.joints[5:])
-
-    def is_waste(self, place: str) -> bool:
-        chutes = {self.place(name) for name in self.config.get("waste", ())}
-        return place in chutes or place.rpartition(".")[2] in ("trash", "waste")
+            self.open_hand(place, _name_grip(width))
+        self.set_fingers(width)
 
     def _find_place_under(self, joints: Joints) -> str:
         """The place that the hand is over."""
@@ -426,7 +404,7 @@ class PF400OnWire(OnWire):
         """The place, or the lid's place on the plate there, where the fingers are: round what they hold, or
         else round what stands there."""
         x, y, z, _ = kinematics.find_hand(self.joints)
-        held = self.top(f"hand:{self.name}")
+        held = self.find_held_plate()
         for place in self._find_places_near((x, y), SPOT_MM):
             plate = self.top(place)
             if self._is_at((x, y, z), self._find_grip_point(place, held or plate)):
@@ -468,13 +446,7 @@ class PF400OnWire(OnWire):
         def arrive() -> None:
             report = work()
             up = (*self._find_approach(station)[:4], *self.joints[4:])
-
-            def end() -> None:
-                self._deaf = False
-                self._send_done(report)
-                self._obey_all()
-
-            self._move(up, then=end)
+            self._move(up, then=lambda: self._listen_again(report))
 
         target = self._taught[station]
         self._move((*target[:4], self.joints[4], *target[5:]), then=arrive)
@@ -508,18 +480,24 @@ class PF400OnWire(OnWire):
 
         def end() -> None:
             what()
-            self._deaf = False
-            self._obey_all()
+            self._listen_again()
 
         self.after(lab_s, end)
 
+    def _listen_again(self, report: str | None = None) -> None:
+        """Obey what has been waiting; before, send a report if there is one."""
+        self._deaf = False
+        if report is not None:
+            self._send_done(report)
+        self._obey_all()
+
     def _send_done(self, data: str = "") -> None:
-        self.say((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
+        self.send((f"0 {data}" if data else "0").encode() + protocol.ANSWER_END)
 
     def _refuse(self, code: int) -> None:
         fault = protocol.FAULTS.get(code)
         text = fault.meaning if fault else "refused"
-        self.say(f"{code} *{text}*".encode() + protocol.ANSWER_END)
+        self.send(f"{code} *{text}*".encode() + protocol.ANSWER_END)
 
 
 def _name_grip(width: float) -> str:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 import time
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire, Wire
 from labos.node import Setup
-from labos.node.node import handle_keeper
-from labos_drivers._limits import make_serial_wire
+from labos.node.node import note_handle
+from labos_drivers._limits import make_serial_wire, read_setting
+from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
 from labos_drivers.pipette import protocol
 from labos_drivers.pipette.protocol import Answer, Kind
@@ -20,6 +21,7 @@ from labos_drivers.pipette.protocol import Answer, Kind
 ANSWER_S, POLL_S, LOST_S = 2.0, 0.1, 10.0
 START_S, EJECT_S, SLACK_S = 30.0, 10.0, 5.0
 WHO = "a pump that speaks DT"
+StrokeUl = Annotated[float, msgspec.Meta(gt=0, le=5000)]
 
 
 class Stroke(msgspec.Struct, frozen=True):
@@ -74,27 +76,21 @@ class PipetteDriver(Wired):
     async def _move(self, change_ul: float, speed_ul_s: float) -> float:
         """Move the plunger; returns the volume that is drawn up then (µL)."""
         stroke = await self.plan(change_ul)
-        keep = handle_keeper.get()
-        if keep is not None:
-            await keep(str(stroke))
+        await note_handle(str(stroke))
         return await self.carry_out(stroke, speed_ul_s)
 
     @off_loop
     def plan(self, change_ul: float) -> Stroke:
         """Plan a stroke; nothing moves. Raises DeviceError for a volume that does not fit."""
         self.check_not_stopped()
-        try:
+        with self.report_no_effects():
             here = self._read_position()
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         target = here + round(change_ul / self._ul_a_step)
         if not 0 <= target <= self._kind.steps:
-            raise DeviceError(
-                f"{self.name}: {here * self._ul_a_step:.4g} of {self._kind.volume_ul:g} µL are drawn up; "
-                f"{abs(change_ul):g} µL cannot be {'aspirated' if change_ul > 0 else 'dispensed'}.",
-                effects="none",
-                remedy="Ask for less, or empty it first.",
+            raise self.make_refusal(
+                f"{here * self._ul_a_step:.4g} of {self._kind.volume_ul:g} µL are drawn up; "
+                f"{abs(change_ul):g} µL cannot be {'aspirated' if change_ul > 0 else 'dispensed'}",
+                "Ask for less, or empty it first.",
             )
         return Stroke(here, target)
 
@@ -143,20 +139,13 @@ class PipetteDriver(Wired):
     def _await_rest(self, limit_s: float) -> None:
         """Wait until the plunger rests; a line that fails for a while is asked again. Raises DeviceError."""
         deadline = time.monotonic() + limit_s
-        lost_since = 0.0
+        lost_s = self.limit_s("lost", LOST_S)
         while True:
-            try:
-                answer = self._ask("Q")
-            except LinkError:
-                lost_since = lost_since or time.monotonic()
-                if time.monotonic() > lost_since + self.limit_s("lost", LOST_S):
-                    raise
-            else:
-                lost_since = 0.0
-                self._check_answer(answer, "it moved", "unknown")
-                if answer.ready:
-                    return
-            if time.monotonic() > deadline + self.limit_s("lost", LOST_S):
+            answer = self.ask_again(lambda: self._ask("Q"), lost_s, POLL_S)
+            self._check_answer(answer, "it moved", "unknown")
+            if answer.ready:
+                return
+            if time.monotonic() > deadline + lost_s:
                 raise DeviceError(f"{self.name}: the plunger has not come to rest within {limit_s:.0f} s.")
             time.sleep(POLL_S)
 
@@ -183,10 +172,8 @@ class PipetteDriver(Wired):
     @off_loop
     def eject_tip(self) -> None:
         if not self._kind.eject:
-            raise DeviceError(
-                f"{self.name}: this pump has no ejector.",
-                effects="none",
-                remedy="Let the arm strip the tip off: run its program for that.",
+            raise self.make_refusal(
+                "this pump has no ejector", "Let the arm strip the tip off: run its program for that."
             )
         with self.motion():
             self._order(self._kind.eject)
@@ -257,13 +244,10 @@ def read_kind(setup: Setup) -> Kind:
     DeviceError."""
     named = setup.config.get("kind", "z_pump")
     if named not in protocol.KINDS:
-        raise DeviceError(
-            f"{setup.name}: there is no pump of kind {named!r}.",
-            effects="none",
-            remedy=f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
+        raise make_refusal(
+            setup.name,
+            f"there is no pump of kind {named!r}",
+            f"Write `kind:` as one of {', '.join(protocol.KINDS)}.",
         )
     kind = protocol.KINDS[named]
-    volume = setup.config.get("volume_ul", kind.volume_ul)
-    if isinstance(volume, bool) or not isinstance(volume, int | float) or not 0 < volume <= 5000:
-        raise DeviceError(f"{setup.name}: `volume_ul:` is {volume!r}.", effects="none")
-    return kind._replace(volume_ul=float(volume))
+    return kind._replace(volume_ul=read_setting(setup, "volume_ul", kind.volume_ul, StrokeUl))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from labos.node import DeviceError, Param, Sets, action
+from labos.node import Param, Sets, action
 from labos_drivers._simulation import await_answer
 from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.pipette.driver import PipetteDriver
@@ -24,6 +24,7 @@ class Pipette(OnBenchOrWire):
     driver = "pipette"
     models = ("pipette", "tricontinent", "tricontinent_z_pump", "air_z")
     variables = {"drawn_up": 0.0}
+    follows = ("aspirate", "dispense")
     devices = (PipetteSimulator, PipetteOnWire, PipetteDriver)
     device: PipetteSimulator | PipetteDriver
 
@@ -56,10 +57,3 @@ class Pipette(OnBenchOrWire):
     async def reset(self) -> None:
         """Initialise it; whatever is drawn up comes out."""
         await super().reset()
-
-    async def take_up(self, name: str, handle: str) -> Any:
-        if name not in ("aspirate", "dispense") or not isinstance(self.device, PipetteDriver):
-            return await super().take_up(name, handle)
-        if not handle:
-            raise DeviceError(f"{self.setup.name}: nothing was started.", effects="none")
-        return await self.device.follow(handle)

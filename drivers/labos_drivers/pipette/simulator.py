@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from labos.node import DeviceError, Setup
+from labos.node import Setup
 from labos_drivers._simulation import Simulated
 from labos_drivers.pipette import protocol
 
@@ -33,11 +33,10 @@ class PipetteSimulator(Simulated):
 
     async def _move(self, verb: str, change_ul: float, speed_ul_s: float) -> float:
         if not 0 <= self._ul + change_ul <= self._kind.volume_ul:
-            raise DeviceError(
-                f"{self.name}: {self._ul:g} of {self._kind.volume_ul:g} µL are drawn up; "
-                f"{abs(change_ul):g} µL cannot be {verb}d.",
-                effects="none",
-                remedy="Ask for less, or empty it first.",
+            raise self.make_refusal(
+                f"{self._ul:g} of {self._kind.volume_ul:g} µL are drawn up; "
+                f"{abs(change_ul):g} µL cannot be {verb}d",
+                "Ask for less, or empty it first.",
             )
         with self.motion():
             await self.take_time(abs(change_ul) / speed_ul_s)
@@ -47,10 +46,8 @@ class PipetteSimulator(Simulated):
 
     async def eject_tip(self) -> None:
         if not self._kind.eject:
-            raise DeviceError(
-                f"{self.name}: this pump has no ejector.",
-                effects="none",
-                remedy="Let the arm strip the tip off: run its program for that.",
+            raise self.make_refusal(
+                "this pump has no ejector", "Let the arm strip the tip off: run its program for that."
             )
         with self.motion():
             await self.take_time(EJECTS_S)

@@ -6,7 +6,7 @@ import re
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers.pipette import protocol
 from labos_drivers.pipette.simulator import EJECTS_S, STARTS_S
 
@@ -15,9 +15,11 @@ BAD_COMMAND, BAD_OPERAND = 2, 3
 WORD = re.compile(r"([A-Za-z])(\d*)")
 
 
-class PipetteOnWire(OnWire):
+class PipetteOnWire(OnLine):
     """What the device is and does. ``started``: it has been initialised before. Its plunger may be
     ``stuck``."""
+
+    line_end = b"\r"
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, started: bool = True) -> None:
         super().__init__(setup, end)
@@ -29,21 +31,17 @@ class PipetteOnWire(OnWire):
         self._began_s, self._steps_s = 0.0, USUAL_STEPS_S
         self._busy = False
         self._error = 0
-        self._heard = b""
 
     def put(self, position: int) -> None:
         """Somebody moves the plunger."""
         self.position = self._goal = position
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\r" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\r")
-            text = line.lstrip(b"\n\0").decode("ascii", "replace")
-            if text.startswith(f"/{protocol.ADDRESS.decode()}"):
-                self.say(self._answer(text[2:]))
+    def obey(self, line: str) -> None:
+        text = line.lstrip("\0")
+        if text.startswith(f"/{protocol.ADDRESS.decode()}"):
+            self.send(self._answer(text[2:]))
 
     def _answer(self, text: str) -> bytes:
         if text == "Q":

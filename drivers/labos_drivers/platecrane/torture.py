@@ -6,11 +6,10 @@ from labos.node import Case, Setup, Torture
 from labos_drivers._hudson_torture import (
     WAITS,
     close_fingers_on_plate,
-    is_holding,
-    is_moving_empty,
     make_faults,
     open_fingers,
 )
+from labos_drivers._torture import is_holding, is_moving_empty
 from labos_drivers.platecrane.wire import PlateCraneOnWire
 
 

@@ -9,19 +9,12 @@ from typing import Any
 from labos.core.model import Description
 from labos.errors import DeviceError
 from labos.node.mapping import About, BadEffect, DriverTable, Flaw, make_description, suggest_name
-from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Point, Write
+from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Point, Write, find_argument
 from labos_drivers.plc.values import encode
 
 KEY = "plc"
 MODELS = ("plc", "modbus_plc")
-_WHOLE = re.compile(r"\{(\w+)\}")
 Path = tuple[str | int, ...]
-
-
-def find_argument(value: Any) -> str:
-    """The argument that a written value names; empty if it is a value."""
-    found = _WHOLE.fullmatch(value) if isinstance(value, str) else None
-    return found[1] if found else ""
 
 
 # -- what the module offers --------------------------------------------------------------------

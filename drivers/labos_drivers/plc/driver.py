@@ -19,8 +19,8 @@ import msgspec
 from labos.errors import DeviceError, LinkError, NotConnected, OutcomeUnknown
 from labos.node import Setup
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop
-from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable
-from labos_drivers.plc.points import Points, fill_arguments, make_link
+from labos_drivers.plc.mapping import Condition, MappedAction, PlcMapping, Variable, fill_argument
+from labos_drivers.plc.points import Points, make_link
 from labos_drivers.plc.values import PointValue, describe_condition, is_met, is_undecided
 
 POLL_S = 0.1
@@ -130,13 +130,10 @@ class PlcDriver(Wired):
         """Check that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
         self.check_not_stopped()
         action = self.mapping.actions[name]
-        try:
+        with self.report_no_effects():
             seen = self.points.read(self._list_watched_points(action))
             self._refuse_unless_fit(action, seen)
             self.points.write_all(action.set, args)
-        except DeviceError as error:
-            error.effects = "none"
-            raise
         return StartedAction(args, self._choose_number(action_id, seen), self._read_boot(seen))
 
     @off_loop
@@ -149,7 +146,7 @@ class PlcDriver(Wired):
                 if handshake is not None:
                     self.points.write(handshake.number, begun.number)
                 elif action.start is not None:
-                    self.points.write(action.start.point, fill_arguments(action.start.value, begun.args))
+                    self.points.write(action.start.point, fill_argument(action.start.value, begun.args))
         except NotConnected:
             raise
         except LinkError:
@@ -379,9 +376,5 @@ def _read_variable(variable: Variable, seen: dict[str, PointValue]) -> Any:
 
 
 def _with_args(condition: Condition, args: dict[str, Any]) -> Condition:
-    filled = {"is_": _fill_value(condition.is_, args), "near": _fill_value(condition.near, args)}
+    filled = {"is_": fill_argument(condition.is_, args), "near": fill_argument(condition.near, args)}
     return condition.model_copy(update=filled)
-
-
-def _fill_value(value: Any, args: dict[str, Any]) -> Any:
-    return fill_arguments(value, args) if isinstance(value, str) and value.startswith("{") else value

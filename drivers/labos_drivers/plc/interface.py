@@ -10,10 +10,10 @@ import msgspec
 
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
-from labos.node import Node, Setup, action, current_action
+from labos.node import Node, action, current_action
 from labos.node.mapping import read_table
 from labos.node.node import INTERRUPTED, ActionMethod
-from labos_drivers._wired import OnBenchOrWire
+from labos_drivers._wired import ReportsTrouble
 from labos_drivers.plc.about import KEY, TABLE, describe
 from labos_drivers.plc.driver import PlcDriver, StartedAction
 from labos_drivers.plc.mapping import PlcMapping
@@ -32,17 +32,13 @@ def hatch() -> PlcMapping:
     return mapping
 
 
-class Plc(OnBenchOrWire):
+class Plc(ReportsTrouble):
     """PLC with a Modbus interface; without a mapping of its own it is the hatch that comes with it."""
 
     driver = KEY
     config_table = TABLE
     own: ClassVar[PlcMapping | None] = None
     device: MappedSimulator | PlcDriver
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._reported = self._reported_before = ""
 
     @classmethod
     def mapping(cls) -> PlcMapping:
@@ -113,18 +109,6 @@ class Plc(OnBenchOrWire):
         if isinstance(self.device, MappedSimulator):
             return {}
         return await self.device.read_levels()
-
-    async def trouble(self) -> str:
-        """What the PLC said is wrong both now and when it was asked before: what flickers is not told. A
-        line that is lost is told by whatever is asked next."""
-        if isinstance(self.device, MappedSimulator):
-            return ""
-        try:
-            now = await self.device.trouble()
-        except DeviceError:
-            return self._reported
-        self._reported, self._reported_before = (now if now == self._reported_before else ""), now
-        return self._reported
 
     @action(recovers=True)
     async def reset(self) -> None:

@@ -8,6 +8,8 @@ that is set.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -26,6 +28,21 @@ REGISTERS: dict[str, int] = {
 
 Address = Annotated[int, Field(ge=0, le=65535)]
 Value = bool | int | float | str
+
+
+_WHOLE = re.compile(r"\{(\w+)\}")
+
+
+def find_argument(value: Any) -> str:
+    """The argument that a written value names; empty if it is a value."""
+    found = _WHOLE.fullmatch(value) if isinstance(value, str) else None
+    return found[1] if found else ""
+
+
+def fill_argument(value: Any, args: Mapping[str, Any]) -> Any:
+    """The value, with the argument in place of ``{argument}``."""
+    name = find_argument(value)
+    return args[name] if name else value
 
 
 class Point(Part):

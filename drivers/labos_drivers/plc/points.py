@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from labos.errors import DeviceError, LinkError
 from labos.link import ModbusLink
 from labos_drivers._wired import parse_host_port
-from labos_drivers.plc.mapping import Point, Where, Write
+from labos_drivers.plc.mapping import Point, Where, Write, fill_argument
 from labos_drivers.plc.values import PointValue, decode, encode
 
 ANSWER_S = 2.0
@@ -62,31 +62,24 @@ class Points:
     def write_all(self, writes: Iterable[Write], values: Mapping[str, Any]) -> None:
         """Write several values, one after the other."""
         for write in writes:
-            self.write(write.point, fill_arguments(write.value, values))
+            self.write(write.point, fill_argument(write.value, values))
 
     def _read(self, span: Span) -> list[int]:
         table, first, count = span
+        readers: dict[Where, Callable[..., Sequence[int]]] = {
+            "coil": self.link.coils,
+            "discrete": self.link.discretes,
+            "input": self.link.inputs,
+            "holding": self.link.holding,
+        }
         try:
-            match table:
-                case "coil":
-                    return [int(bit) for bit in self.link.coils(first, count, timeout_s=ANSWER_S)]
-                case "discrete":
-                    return [int(bit) for bit in self.link.discretes(first, count, timeout_s=ANSWER_S)]
-                case "input":
-                    return self.link.inputs(first, count, timeout_s=ANSWER_S)
-                case _:
-                    return self.link.holding(first, count, timeout_s=ANSWER_S)
+            return [int(value) for value in readers[table](first, count, timeout_s=ANSWER_S)]
         except LinkError:
             raise
         except DeviceError as error:
             names = ", ".join(name for name, point in self._points.items() if _is_within(span, point))
             words = f"{error.message} The request was for {names}."
             raise DeviceError(words, effects=error.effects, remedy=error.remedy) from error
-
-
-def fill_arguments(value: Any, values: Mapping[str, Any]) -> Any:
-    """The value to write, with an argument in place of ``{argument}``."""
-    return values[value[1:-1]] if isinstance(value, str) else value
 
 
 def _is_within(span: Span, point: Point) -> bool:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from labos.node import Setup
 from labos_drivers._simulation import Simulated
-from labos_drivers.plc.mapping import MappedAction, PlcMapping
+from labos_drivers.plc.mapping import MappedAction, PlcMapping, fill_argument
 
 
 class MappedSimulator(Simulated):
@@ -35,7 +35,7 @@ class MappedSimulator(Simulated):
             self._reach()
             await self.take_time(action.duration)
             for variable, value in action.sets.items():
-                self.variables[variable] = args[value[1:-1]] if _is_argument(value) else value
+                self.variables[variable] = fill_argument(value, args)
             self._reach()
         return self._make_result(action)
 
@@ -57,7 +57,3 @@ class MappedSimulator(Simulated):
             place = self.place(name)
             if shut != self.world.is_shut(place):
                 self.world.gate(self.name, place, shut=shut)
-
-
-def _is_argument(value: Any) -> bool:
-    return isinstance(value, str) and value.startswith("{")

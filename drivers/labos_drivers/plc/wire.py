@@ -15,7 +15,6 @@ from collections.abc import Coroutine
 from typing import Any, TypeVar
 
 from labos.errors import NotConnected
-from labos.link import PtyEnd
 from labos.link.wire import needs
 from labos.node import Crash, Setup
 from labos_drivers._onwire import Timed
@@ -202,50 +201,3 @@ class HatchOnTcp(Hatch):
         transport: Any = server.transport
         self._port = int(transport.sockets[0].getsockname()[1])
         return server
-
-
-class HatchOnLine(Hatch):
-    """On a serial line (RTU): two pseudo-terminals, joined as by a null-modem cable."""
-
-    def __init__(self, setup: Setup) -> None:
-        super().__init__(setup)
-        self._cable = _Cable()
-
-    @property
-    def address(self) -> str:
-        return self._cable.near.address
-
-    def close(self) -> None:
-        super().close()
-        self._cable.close()
-
-    async def _serve(self, memory: Any) -> Any:
-        from pymodbus.server import ModbusSerialServer
-
-        server = ModbusSerialServer(memory, port=self._cable.far.address, baudrate=19200)
-        await server.serve_forever(background=True)
-        return server
-
-
-class _Cable:
-    """What goes in at one end comes out at the other."""
-
-    def __init__(self) -> None:
-        self.near, self.far = PtyEnd(), PtyEnd()
-        self._over = threading.Event()
-        pairs = ((self.near, self.far), (self.far, self.near))
-        self._threads = [threading.Thread(target=self._copy, args=pair, daemon=True) for pair in pairs]
-        for thread in self._threads:
-            thread.start()
-
-    def close(self) -> None:
-        self._over.set()
-        for thread in self._threads:
-            thread.join(5)
-        self.near.close()
-        self.far.close()
-
-    def _copy(self, source: PtyEnd, target: PtyEnd) -> None:
-        while not self._over.is_set():
-            if data := source.read(0.05):
-                target.write(data)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.node import DeviceError, Setup
+from labos.node import Setup
 from labos_drivers._arm import Arm
 
 TOWERS = tuple(f"tower{number}" for number in range(1, 6))
@@ -26,9 +26,5 @@ class SciclopsSimulator(Arm):
         if not self.world.at(self.place(tower)):
             with self.motion():
                 await self.take_time(0.4 * self.transfer_s)
-            raise DeviceError(
-                f"{self.name}: {tower} is empty, the gripper touched the floor.",
-                effects="none",
-                remedy="Refill the tower.",
-            )
+            raise self.make_refusal(f"{tower} is empty, the gripper touched the floor", "Refill the tower.")
         await self.transfer(tower, target)

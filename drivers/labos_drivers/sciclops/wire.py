@@ -28,4 +28,4 @@ class SciclopsOnWire(HudsonOnWire):
         return f"Z:{z:.4f}, R:{r:.4f}, Y:{y:.4f}, P:{p:.4f}"
 
     def _send_result(self, code: int) -> None:
-        self.say(f"{code:04d} {'Success' if not code else 'Error'}\r\n".encode())
+        self.send(f"{code:04d} {'Success' if not code else 'Error'}\r\n".encode())

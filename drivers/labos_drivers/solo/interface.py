@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 
 from labos.core.counts import Counter
 from labos.node import Consumes, Needs, Param, Requires, Station, action
-from labos_drivers.gateway.driver import GatewayInstrument
+from labos_drivers._wired import OnBenchOrWire
 from labos_drivers.solo import protocol
 from labos_drivers.solo.driver import SoloDriver
 from labos_drivers.solo.protocol import count_used_tips
@@ -16,7 +16,7 @@ from labos_drivers.solo.simulator import POSITIONS, SoloSimulator
 from labos_drivers.solo.wire import SoloOnWire
 
 
-class Solo(GatewayInstrument):
+class Solo(OnBenchOrWire):
     """Liquid handler with eight deck positions."""
 
     driver = "solo"
@@ -24,6 +24,7 @@ class Solo(GatewayInstrument):
     stations = tuple(Station(position, kind="deck") for position in POSITIONS)
     levels = {"tips": 384}
     counters: ClassVar[dict[str, Counter]] = {"tips": count_used_tips}
+    follows = ("run_protocol",)
     devices = (SoloSimulator, SoloOnWire, SoloDriver)
     device: SoloSimulator | SoloDriver
 

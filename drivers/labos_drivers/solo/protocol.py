@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from labos.errors import DeviceError
 from labos.node import Count
+from labos_drivers._refusals import make_refusal
 
 LARGEST = 1024 * 1024
 POSITIONS, MOST_STEPS = 8, 69
@@ -33,10 +33,8 @@ def read_protocol(driver: str, file: Path) -> str:
         text = data.decode("utf-8", "replace")
         why = f"it has {len(data)} bytes, more than {LARGEST}" if len(data) > LARGEST else find_flaw(text)
     if why:
-        raise DeviceError(
-            f"{driver}: {file.name} cannot be run: {why}.",
-            effects="none",
-            remedy="Write it again with SOLOSoft, or split it.",
+        raise make_refusal(
+            driver, f"{file.name} cannot be run: {why}", "Write it again with SOLOSoft, or split it."
         )
     return text
 

@@ -16,7 +16,6 @@ from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import Calibration, Grid
 
 ANSWER_S, GATE_S, ROW_S, INIT_S = 5.0, 30.0, 300.0, 60.0
-MOST_WAVELENGTHS = 800
 WHO = "a Tecan Infinite"
 STATES = ("ST", "BY", "PD", "PU", "PA", "MSG", "+BY")
 
@@ -86,10 +85,9 @@ class TecanDriver(Wired):
         """Measure spectra; returns a table as Magellan exports one: tabs, UTF-16, wavelengths in the first
         line."""
         if method:
-            raise DeviceError(
-                f"{self.name}: over USB the reader knows no stored methods; it was asked for {method!r}.",
-                effects="none",
-                remedy="Leave the method out, and name start, end and step.",
+            raise self.make_refusal(
+                f"over USB the reader knows no stored methods; it was asked for {method!r}",
+                "Leave the method out, and name start, end and step.",
             )
         wavelengths = self._list_wavelengths(start_nm, end_nm, step_nm)
         with self.motion():
@@ -97,11 +95,9 @@ class TecanDriver(Wired):
                 where = (
                     "the gate is open" if position == protocol.OUT else f"its carrier is {position!r}, not IN"
                 )
-                raise DeviceError(f"{self.name}: {where}.", effects="none", remedy="Close the gate first.")
+                raise self.make_refusal(f"{where}", "Close the gate first.")
             if self._detect_plate() is False:
-                raise DeviceError(
-                    f"{self.name}: no plate is on the carrier.", effects="none", remedy="Put one there."
-                )
+                raise self.make_refusal("no plate is on the carrier", "Put one there.")
             grid = protocol.GRIDS[wells]
             spectra: Spectra = {}
             with self._scan():
@@ -111,13 +107,13 @@ class TecanDriver(Wired):
 
     def _list_wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
         if start_nm > end_nm:
-            raise DeviceError(f"{self.name}: {start_nm:g} nm lies behind {end_nm:g} nm.", effects="none")
-        count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
-        if count > MOST_WAVELENGTHS:
-            raise DeviceError(
-                f"{self.name}: {count} wavelengths are more than {MOST_WAVELENGTHS}.", effects="none"
+            raise self.make_refusal(f"{start_nm:g} nm lies behind {end_nm:g} nm")
+        wavelengths = protocol.list_wavelengths(start_nm, end_nm, step_nm)
+        if len(wavelengths) > protocol.MOST_WAVELENGTHS:
+            raise self.make_refusal(
+                f"{len(wavelengths)} wavelengths are more than {protocol.MOST_WAVELENGTHS}"
             )
-        return [round(start_nm + number * step_nm, 1) for number in range(count)]
+        return wavelengths
 
     @contextmanager
     def _scan(self) -> Iterator[None]:

@@ -33,8 +33,7 @@ ANNOUNCED = re.compile(r"(\d{1,5}),BIN:")
 IN, OUT = "IN", "OUT"
 
 COUNTS_PER_MM = 1000
-PLATE_DEPTH_MM = 85.48
-MOST_OD = 4.0
+MOST_OD, MOST_WAVELENGTHS = 4.0, 800
 FLASHES, BEAM_UM = 25, 700
 
 
@@ -77,6 +76,12 @@ def check_sum(text: bytes) -> int:
 def frame(text: str) -> bytes:
     data = text.encode("ascii")
     return bytes((STX, *data, ETX, 0, 0, len(data) & 0xFF, check_sum(data), CR))
+
+
+def list_wavelengths(start_nm: float, end_nm: float, step_nm: float) -> list[float]:
+    """In nm, from the first to the last, to a tenth; empty if the end is before the start."""
+    count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
+    return [round(start_nm + number * step_nm, 1) for number in range(count)]
 
 
 def bandwidth_nm(wavelength_nm: float) -> float:

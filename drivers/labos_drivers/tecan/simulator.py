@@ -7,13 +7,12 @@ from collections.abc import Callable
 from typing import Any
 from zlib import crc32
 
-from labos.node import Attachment, DeviceError, World
+from labos.node import Attachment, World
 from labos_drivers import _polymers
 from labos_drivers._optics import absorbance_of
 from labos_drivers._simulation import Gated
+from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import GRIDS, MOST_OD, write_table
-
-MOST_WAVELENGTHS = 800
 
 
 def absorbance(
@@ -48,9 +47,9 @@ class TecanSimulator(Gated):
     async def measure(
         self, method: str, start_nm: float, end_nm: float, step_nm: float, wells: int, name: str
     ) -> Attachment:
-        count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
-        if not 0 < count <= MOST_WAVELENGTHS:
-            raise DeviceError(f"{self.name}: {count} wavelengths cannot be measured.", effects="none")
+        nms = protocol.list_wavelengths(start_nm, end_nm, step_nm)
+        if not 0 < len(nms) <= protocol.MOST_WAVELENGTHS:
+            raise self.make_refusal(f"{len(nms)} wavelengths cannot be measured")
         with self.motion():
             self.check_closed()
             self.crash_if_lidded(self.place("default"), "reads through a lid")
@@ -58,7 +57,6 @@ class TecanSimulator(Gated):
             place = self.place("default")
             bubbles = _polymers.find_bubbles(self.world, self.top(place))
             plate = self.world.work(self.name, "read", place, method=method, start_nm=start_nm, end_nm=end_nm)
-            nms = [round(start_nm + number * step_nm, 1) for number in range(count)]
             return Attachment(name, self._table(plate, nms, wells, bubbles))
 
     def _table(self, plate: str, nms: list[float], wells: int, bubbles: set[str]) -> bytes:

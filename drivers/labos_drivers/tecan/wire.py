@@ -6,7 +6,6 @@ import re
 
 from labos.link import FarEnd
 from labos.node import Crash, Setup
-from labos.node.world import lid_of
 from labos_drivers._onwire import OnWire
 from labos_drivers.tecan import protocol
 from labos_drivers.tecan.protocol import GRIDS, Calibration, frame
@@ -36,7 +35,7 @@ class TecanOnWire(OnWire):
             self._feel()
         self._nm = 0.0
         self._at = (0, 0)
-        self._heard = b""
+        self._received = b""
         self._waiting: list[str] = []
 
     def push(self) -> None:
@@ -58,28 +57,28 @@ class TecanOnWire(OnWire):
                 self.open("default")  # it never came in
             self.after(0, self._stand_by, exact=True)
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while (begin := self._heard.find(protocol.STX)) >= 0:
-            end = self._heard.find(protocol.ETX, begin)
-            if end < 0 or len(self._heard) < end + 6:
+    def receive(self, data: bytes) -> None:
+        self._received += data
+        while (begin := self._received.find(protocol.STX)) >= 0:
+            end = self._received.find(protocol.ETX, begin)
+            if end < 0 or len(self._received) < end + 6:
                 return
-            text = self._heard[begin + 1 : end]
-            trailer = self._heard[end + 1 : end + 5]
-            self._heard = self._heard[end + 6 :]
+            text = self._received[begin + 1 : end]
+            trailer = self._received[end + 1 : end + 5]
+            self._received = self._received[end + 6 :]
             if trailer == bytes((0, 0, len(text) & 0xFF, protocol.check_sum(text))):
                 self._obey(text.decode("ascii", "replace"))
             else:
                 self._send("-")
-        self._heard = b""
+        self._received = b""
 
     def _send(self, text: str) -> None:
-        self.say(frame(text))
+        self.send(frame(text))
 
     def _numbers(self, packet: bytes) -> None:
-        self.say(frame(f"{len(packet)},BIN:") + packet + bytes(4))
+        self.send(frame(f"{len(packet)},BIN:") + packet + bytes(4))
 
     def _obey(self, command: str) -> None:
         queries = {
@@ -187,8 +186,7 @@ class TecanOnWire(OnWire):
     def _flash(self, well: str) -> None:
         plate = self.top(self.place("default"))
         od = optics_of(self.world, plate)(well, self._nm) if plate else 0.0
-        if plate and self.world.at(lid_of(plate)):
-            self.world.crash(self.name, self.place("default"), "reads through a lid")
+        self.crash_if_lidded(self.place("default"), "reads through a lid")
         light = 10**-od * self._random.gauss(1.0, 0.002)
         sample = round(CALIBRATION.dark + light * (CALIBRATION.bright - CALIBRATION.dark))
         self._numbers(protocol.write_measurement(self._nm, min(sample, 65535), CALIBRATION.reference_bright))

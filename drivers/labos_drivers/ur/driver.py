@@ -32,12 +32,6 @@ PENDANT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "dispose_tip": ({"tool": "pipette", "tip": "sample"}, {"tip": ""}),
 }
 """What the arm's inputs have to tell before each action of the pendant drop, and what has changed then."""
-SENSORS: dict[str, tuple[str, Any, Any]] = {
-    "tool": ("pipette_input", "pipette", ""),
-    "tip": ("tip_input", "sample", ""),
-    "docked": ("dock_input", True, False),
-}
-"""By which input, and what it means when it is on and when it is off."""
 
 
 class URDriver(Wired):
@@ -53,7 +47,6 @@ class URDriver(Wired):
 
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, address, simulator)
-        self._setup = setup
         dashboard, gripper, data = [*address.split(","), "", ""][:3]
         host, port = parse_host_port(dashboard, protocol.DASHBOARD)
         self.link = Link(
@@ -74,7 +67,7 @@ class URDriver(Wired):
         pendant = setup.config.get("pendant") or {}
         self._wired = {
             variable: (programs.read_input(setup, pendant, key, "pendant"), on, off)
-            for variable, (key, on, off) in SENSORS.items()
+            for variable, (key, on, off) in protocol.SENSORS.items()
             if key in pendant
         }
 
@@ -160,10 +153,8 @@ class URDriver(Wired):
             self._order("restart safety", "Restarting safety", "true")
             self._await_status("safety status", self._read_safety, protocol.NORMAL, protocol.REDUCED)
         elif safety not in (protocol.NORMAL, protocol.REDUCED):
-            raise DeviceError(
-                f"{self.name}: its safety status is {safety}.",
-                effects="none",
-                remedy="Release the emergency stop, then reset the module.",
+            raise self.make_refusal(
+                f"its safety status is {safety}", "Release the emergency stop, then reset the module."
             )
         if self._read_state() != protocol.STOPPED:
             self._order("stop", "Stopped")
@@ -288,10 +279,8 @@ class URDriver(Wired):
         if _is_not_understood(answer):
             return  # a CB3, which has no local mode, or software before 5.6: it refuses what it must not do
         if answer != "true":
-            raise DeviceError(
-                f"{self.name}: the controller is not in remote control.",
-                effects="none",
-                remedy="Switch it to remote control on the pendant.",
+            raise self.make_refusal(
+                "the controller is not in remote control", "Switch it to remote control on the pendant."
             )
 
     def _read_sensors(self) -> dict[str, Any]:
@@ -369,7 +358,9 @@ class URDriver(Wired):
         return answer.decode("utf-8", "replace").strip()
 
     def _ask_status(self, question: str, begins: str) -> str:
-        answer = self._ask(question)
+        return self._parse_status(self._ask(question), question, begins)
+
+    def _parse_status(self, answer: str, question: str, begins: str) -> str:
         if not answer.startswith(begins):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {question!r}.")
         return answer.removeprefix(begins).strip()
@@ -383,9 +374,7 @@ class URDriver(Wired):
         answer = self._ask("safetystatus")
         if _is_not_understood(answer):
             return self._ask_status("safetymode", "Safetymode:")
-        if not answer.startswith("Safetystatus:"):
-            raise Garbled(f"{self.name}: {answer!r} is no answer to 'safetystatus'.")
-        return answer.removeprefix("Safetystatus:").strip()
+        return self._parse_status(answer, "safetystatus", "Safetystatus:")
 
     def _read_state(self) -> str:
         answer = self._ask("programState")
@@ -409,11 +398,7 @@ class URDriver(Wired):
         deadline = time.monotonic() + limit_s
         while (answer := ask()) not in wanted:
             if time.monotonic() > deadline:
-                raise DeviceError(
-                    f"{self.name}: its {what} is {answer} after {limit_s:g} s.",
-                    effects="none",
-                    remedy="Look at the pendant.",
-                )
+                raise self.make_refusal(f"its {what} is {answer} after {limit_s:g} s", "Look at the pendant.")
             time.sleep(POLL_S)
 
     def _recognise(self, link: Link) -> str:

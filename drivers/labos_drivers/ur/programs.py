@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from labos.errors import DeviceError
 from labos.node import Setup
+from labos_drivers._refusals import make_refusal
 from labos_drivers._simulation import place_of
 from labos_drivers.ur.rtde import INPUTS
 
@@ -17,9 +17,7 @@ PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
 def check_program(name: str, program: str) -> str:
     """The name of a program. Raises DeviceError for text that is more than a name."""
     if not PROGRAM.fullmatch(program):
-        raise DeviceError(
-            f"{name}: {program[:60]!r} is no name of a program.", effects="none", remedy="It ends with .urp."
-        )
+        raise make_refusal(name, f"{program[:60]!r} is no name of a program", "It ends with .urp.")
     return program
 
 
@@ -29,10 +27,10 @@ def read_input(setup: Setup, config: Mapping[str, Any], key: str, where: str) ->
     number = config.get(key)
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < INPUTS:
         return number
-    raise DeviceError(
-        f"{setup.name}: {number!r} is no digital input, of which there are 0 to {INPUTS - 1}.",
-        effects="none",
-        remedy=f"Correct `{key}` in `{where}:` of the module's `config:`.",
+    raise make_refusal(
+        setup.name,
+        f"{number!r} is no digital input, of which there are 0 to {INPUTS - 1}",
+        f"Correct `{key}` in `{where}:` of the module's `config:`.",
     )
 
 
@@ -45,17 +43,17 @@ def find_carrying_program(setup: Setup, source: str, target: str, named: str = "
         if "" not in ends and tuple(place_of(setup, end) for end in ends) == way:
             program = str(entry.get("program", ""))
             if named not in ("", program):
-                raise DeviceError(
-                    f"{setup.name}: the program from {source} to {target} is {program}, not {named}.",
-                    effects="none",
-                    remedy="Correct the workflow, or `programs:` of the module.",
+                raise make_refusal(
+                    setup.name,
+                    f"the program from {source} to {target} is {program}, not {named}",
+                    "Correct the workflow, or `programs:` of the module.",
                 )
             return check_program(setup.name, program)
     if not named:
-        raise DeviceError(
-            f"{setup.name}: it has no program that goes from {source} to {target}.",
-            effects="none",
-            remedy="Teach one, and write it under `programs:` of the module's `config:`.",
+        raise make_refusal(
+            setup.name,
+            f"it has no program that goes from {source} to {target}",
+            "Teach one, and write it under `programs:` of the module's `config:`.",
         )
     return check_program(setup.name, named)
 
@@ -69,10 +67,10 @@ def find_pendant_program(setup: Setup, action: str, args: Mapping[str, str]) -> 
         if all(_is_same(setup, name, value, str(entry.get(name, ""))) for name, value in args.items()):
             return check_program(setup.name, str(entry.get("program", "")))
     what = ", ".join(f"{name} {value}" for name, value in args.items())
-    raise DeviceError(
-        f"{setup.name}: it has no program for {action}{f' with {what}' if what else ''}.",
-        effects="none",
-        remedy="Teach one, and write it under `pendant:` of the module's `config:`.",
+    raise make_refusal(
+        setup.name,
+        f"it has no program for {action}{f' with {what}' if what else ''}",
+        "Teach one, and write it under `pendant:` of the module's `config:`.",
     )
 
 

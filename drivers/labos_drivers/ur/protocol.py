@@ -23,3 +23,10 @@ REFUSALS = ("Failed to execute", "Command is not allowed")
 
 MOVING, HELD_OPENING, HELD_CLOSING, EMPTY = range(4)
 """What ``OBJ`` says of the fingers."""
+
+SENSORS: dict[str, tuple[str, str | bool, str | bool]] = {
+    "docked": ("dock_input", True, False),
+    "tool": ("pipette_input", "pipette", ""),
+    "tip": ("tip_input", "sample", ""),
+}
+"""Of the pendant drop: by which input of the arm, and what it means when it is on and when it is off."""

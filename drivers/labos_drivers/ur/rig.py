@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from labos.node.world import World, lid_of
+from labos_drivers.ur import protocol
 
 TIPS = 2.0
 
@@ -56,14 +57,21 @@ class Rig:
 
     def read_sensors(self, wired: Mapping[str, Any]) -> dict[str, Any]:
         """The values of the sensors that are wired to the arm."""
-        seen: dict[str, Any] = {}
-        if "dock_input" in wired:
-            seen["docked"] = self.is_docked
-        if "pipette_input" in wired:
-            seen["tool"] = "pipette" if self.wears_pipette else ""
-        if "tip_input" in wired:
-            seen["tip"] = "sample" if self.has_tip else ""
-        return seen
+        on = self.list_inputs()
+        return {
+            name: yes if key in on else no
+            for name, (key, yes, no) in protocol.SENSORS.items()
+            if key in wired
+        }
+
+    def list_inputs(self) -> set[str]:
+        """The sensors that are on, by the name of their input."""
+        sensors = (
+            ("dock_input", self.is_docked),
+            ("pipette_input", self.wears_pipette),
+            ("tip_input", self.has_tip),
+        )
+        return {key for key, is_on in sensors if is_on}
 
     def _pipette(self, plate: str) -> None:
         here = self._world.at(plate)

@@ -47,7 +47,7 @@ class RtdePort:
                 self._answer(message[:1], message[1:])
         except (BadFrame, ValueError, struct.error):
             self.end.write(self._packages.pack(rtde.TEXT + b"\x0cno such thing\x00\x03"))
-        self._tell()
+        self._send_outputs()
 
     def _hang_up(self) -> None:
         self._buffer.clear()
@@ -60,24 +60,24 @@ class RtdePort:
         match kind:
             case rtde.ASK_VERSION:
                 accepted = content == struct.pack(">H", rtde.VERSION)
-                self._say(kind, bytes([accepted]))
+                self._send(kind, bytes([accepted]))
             case rtde.ASK_CONTROLLER:
-                self._say(kind, struct.pack(">4I", *SOFTWARE))
+                self._send(kind, struct.pack(">4I", *SOFTWARE))
             case rtde.OUTPUTS:
                 frequency_hz, self._outputs = rtde.parse_outputs(content)
                 self._every_s = 1 / min(max(frequency_hz, 1.0), FASTEST_HZ)
                 types = rtde.types_of(self._types, self._outputs)
-                self._say(kind, bytes([RECIPE]) + ",".join(types).encode("ascii"))
+                self._send(kind, bytes([RECIPE]) + ",".join(types).encode("ascii"))
             case rtde.START:
                 known = bool(self._outputs) and all(name in self._types for name in self._outputs)
                 self._is_started = known
                 self._due = time.monotonic()
-                self._say(kind, bytes([known]))
+                self._send(kind, bytes([known]))
             case rtde.PAUSE:
                 self._is_started = False
-                self._say(kind, b"\x01")
+                self._send(kind, b"\x01")
 
-    def _tell(self) -> None:
+    def _send_outputs(self) -> None:
         now = time.monotonic()
         if self._is_started and now >= self._due:
             self._due = max(self._due + self._every_s, now)
@@ -86,5 +86,5 @@ class RtdePort:
             package = rtde.pack_values(RECIPE, types, (read_outputs[name] for name in self._outputs))
             self.end.write(self._packages.pack(package))
 
-    def _say(self, kind: bytes, content: bytes) -> None:
+    def _send(self, kind: bytes, content: bytes) -> None:
         self.end.write(self._packages.pack(kind + content))

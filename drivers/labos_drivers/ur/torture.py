@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from labos.node import Case, Fault, Foreign, Setup, Torture, World
+from labos_drivers._torture import is_holding, occupy, remove_plate
 from labos_drivers.ur import protocol, rtde
 from labos_drivers.ur.wire import UROnWire
 
@@ -13,14 +14,6 @@ SAMPLE = {"plate": "bench.wells", "well": "A1", "liquid_1": "water", "liquid_2":
 def _make_cold(setup: Setup) -> UROnWire:
     """Without power at its joints, as it is after its switch was turned."""
     return UROnWire(setup, started=False)
-
-
-def _remove_plate(arm: UROnWire, world: World) -> None:
-    world.carry(arm.top("bench.source"), "")
-
-
-def _occupy_target(arm: UROnWire, world: World) -> None:
-    world.stock("bench.target", "plate96")
 
 
 def _press_stop(arm: UROnWire, world: World) -> None:
@@ -36,11 +29,7 @@ def _cause_safety_fault(arm: UROnWire, world: World) -> None:
 
 
 def _is_moving_empty(arm: UROnWire, world: World) -> bool:
-    return arm.state == protocol.PLAYING and not world.at(f"hand:{arm.name}")
-
-
-def _is_holding(arm: UROnWire, world: World) -> bool:
-    return bool(world.at(f"hand:{arm.name}"))
+    return arm.state == protocol.PLAYING and not is_holding(arm, world)
 
 
 TORTURE = Torture(
@@ -60,8 +49,8 @@ TORTURE = Torture(
         Case("run_urp_program", {"program_name": "wave.urp\nshutdown"}, refused="is no name of a program"),
     ),
     faults=(
-        Fault("no plate at the source", _remove_plate),
-        Fault("a plate at the target already", _occupy_target),
+        Fault("no plate at the source", remove_plate("bench.source")),
+        Fault("a plate at the target already", occupy("bench.target")),
         Fault.by_setting("the program is stopped on the pendant", "stopped_by_hand"),
         Fault("its emergency stop is pressed", _press_stop, _release_stop),
         Fault("a fault of its safety system", _cause_safety_fault),
@@ -92,7 +81,7 @@ TORTURE = Torture(
         ],
     },
     motion="transfer",
-    moments=(_is_moving_empty, _is_holding),
+    moments=(_is_moving_empty, is_holding),
     waits={
         f"{HERE}:ANSWER_S": 3.0,
         f"{HERE}:PROGRAM_S": 30.0,

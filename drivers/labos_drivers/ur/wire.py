@@ -13,7 +13,7 @@ from typing import Any
 from labos.link import FarEnd, TcpEnd
 from labos.node import Crash, Setup
 from labos_drivers._arm import Arm
-from labos_drivers._onwire import OnWire
+from labos_drivers._onwire import OnLine
 from labos_drivers.ur import protocol, rtde
 from labos_drivers.ur.rig import Rig
 from labos_drivers.ur.rtde_wire import RtdePort
@@ -34,7 +34,7 @@ OUTPUTS = dict(zip(rtde.RECIPE, rtde.TYPES, strict=True)) | {
 RUNTIME = {protocol.STOPPED: rtde.STOPPED, protocol.PLAYING: rtde.PLAYING, protocol.PAUSED: rtde.PAUSED}
 
 
-class UROnWire(OnWire):
+class UROnWire(OnLine):
     """What the device is and does. ``started``: powered, with its brakes released before;
     ``stopped_by_hand``: somebody stops its next program on the pendant; ``fingers_move``: its gripper says
     that they do."""
@@ -65,7 +65,6 @@ class UROnWire(OnWire):
             entries = [{"program": configured}] if isinstance(configured, str) else configured
             for entry in entries if isinstance(entries, list) else ():
                 self.programs[entry["program"]] = {**entry, "does": action}
-        self._heard = b""
         self._asked = b""
 
     @property
@@ -80,7 +79,7 @@ class UROnWire(OnWire):
         self.fingers.close()
         self.data.close()
 
-    # -- hearing -----------------------------------------------------------------------------
+    # -- receiving ---------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(min(timeout_s, 0.002))
@@ -89,15 +88,12 @@ class UROnWire(OnWire):
         while b"\n" in self._asked:
             line, _, self._asked = self._asked.partition(b"\n")
             if line.strip() == b"GET OBJ":
-                held = bool(self.top(f"hand:{self.name}"))
+                held = bool(self.find_held_plate())
                 seen = protocol.HELD_CLOSING if held else protocol.EMPTY
                 self.fingers.write(b"OBJ %d\n" % (protocol.MOVING if self.fingers_move else seen))
 
-    def hear(self, data: bytes) -> None:
-        self._heard += data
-        while b"\n" in self._heard:
-            line, _, self._heard = self._heard.partition(b"\n")
-            self._line(self._answer(line.strip().decode("utf-8", "replace")))
+    def obey(self, line: str) -> None:
+        self.send(self._answer(line).encode() + protocol.END)
 
     def _answer(self, line: str) -> str:
         answers: dict[str, Callable[[], str]] = {
@@ -190,11 +186,8 @@ class UROnWire(OnWire):
 
     def _release(self, place: str) -> None:
         self.world.enter(self.name, place)
-        if self.top(f"hand:{self.name}"):
-            if place.rpartition(".")[2] in ("trash", "waste"):
-                self.world.discard(self.name, place)
-            else:
-                self.world.release(self.name, place)
+        if self.find_held_plate():
+            self.open_hand(place)
 
     def _do(self, entry: dict[str, Any]) -> None:
         plate = self.place(entry["plate"]) if "plate" in entry else ""
@@ -258,12 +251,7 @@ class UROnWire(OnWire):
 
     def _sensors(self) -> set[int]:
         """The inputs that pipette and tip switch on."""
-        wired = (
-            ("pipette_input", self.rig.wears_pipette),
-            ("tip_input", self.rig.has_tip),
-            ("dock_input", self.rig.is_docked),
-        )
-        return {int(self._pendant[key]) for key, on in wired if on and key in self._pendant}
+        return {int(self._pendant[key]) for key in self.rig.list_inputs() if key in self._pendant}
 
     def press_stop(self) -> None:
         """Somebody hits the emergency stop."""
@@ -273,6 +261,3 @@ class UROnWire(OnWire):
     def damage(self, crash: Crash) -> None:
         self._freeze(protocol.PAUSED)
         self.safety = protocol.PROTECTIVE
-
-    def _line(self, text: str) -> None:
-        self.say(text.encode() + protocol.END)

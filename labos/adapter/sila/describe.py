@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from labos.adapter.sila.features import (
@@ -45,19 +45,15 @@ def simplify_name(name: str) -> str:
 def find_command(features: Iterable[Feature], name: str) -> SilaCommand | None:
     """Find a command by name: ``Feature.Command``, or ``Command`` if only one feature has it, in any
     spelling; or the full identifier ``originator/category/Feature/v1/Command/Command``."""
-    offered = list(features)
-    commands = [command for feature in offered for command in feature.commands]
-    for meant in (
-        [
-            command
-            for feature in offered
-            for command in feature.commands
-            if f"{feature.identifier}/Command/{command.name}" == name
-        ],
-        [command for command in commands if command.full_name == name],
-        [command for command in commands if simplify_name(command.full_name) == simplify_name(name)],
-        [command for command in commands if simplify_name(command.name) == simplify_name(name)],
-    ):
+    offered = [(feature, command) for feature in features for command in feature.commands]
+    ways_to_name: tuple[Callable[[Feature, SilaCommand], bool], ...] = (
+        lambda feature, command: f"{feature.identifier}/Command/{command.name}" == name,
+        lambda _, command: command.full_name == name,
+        lambda _, command: simplify_name(command.full_name) == simplify_name(name),
+        lambda _, command: simplify_name(command.name) == simplify_name(name),
+    )
+    for is_named in ways_to_name:
+        meant = [command for feature, command in offered if is_named(feature, command)]
         if len(meant) == 1:
             return meant[0]
     return None

@@ -168,7 +168,7 @@ class Messages:
                     kind = f".{full_name}.{kind}"
                 case Named():
                     kind = f".{package}.DataType_{data_type.name}"
-                case _:
+                case Basic():
                     kind = f".{FRAMEWORK}.{data_type.name}"
             self._add_field(message, element.name, number, kind, repeated=repeated)
 
@@ -216,6 +216,8 @@ class Messages:
                     self._put(package, field, element.name, element.type, value[element.name])
             case Basic():
                 _FILL[data_type.name](field, value)
+            case ListOf():
+                raise ValueError(f"there is no type {data_type!r}")
 
     def _get(self, package: str, message: Any, name: str, data_type: DataType) -> Any:
         while isinstance(data_type, Constrained):
@@ -237,7 +239,8 @@ class Messages:
                 }
             case Basic():
                 return _READ.get(data_type.name, lambda field: field.value)(field)
-        raise ValueError(f"there is no type {data_type!r}")
+            case ListOf():
+                raise ValueError(f"there is no type {data_type!r}")
 
 
 # -- basic types -----------------------------------------------------------------------------

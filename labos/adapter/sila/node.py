@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from typing import Any, ClassVar
 
 from labos.adapter._channels import SETTLED, ChannelReading
@@ -236,7 +236,7 @@ class SilaNode(ConditionNode):
         if handle == SENT:
             await self._wait_until_at_rest()
             raise OutcomeUnknown(f"the adapter was restarted before an answer came; {NO_UUID}")
-        await self._wait_until(self._is_known, 1)
+        await self.wait_until(self._is_known, 1)
         return await self._read_outcome(spec, self._command(name), handle)
 
     def _command(self, name: str) -> SilaCommand:
@@ -345,22 +345,7 @@ class SilaNode(ConditionNode):
     async def _wait_until_at_rest(self) -> None:
         """Wait while the device is busy; it may not have started the last command yet. Raises OutcomeUnknown
         if the server does not answer."""
-        await self._wait_until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
-
-    async def _wait_until(self, ready: Callable[[], Awaitable[bool]], times: int) -> None:
-        """Wait for this answer the given number of times in a row. Raises OutcomeUnknown if the server does
-        not answer."""
-        silence, in_a_row = Silence(self.patience_s, self.where), 0
-        while True:
-            try:
-                in_a_row = in_a_row + 1 if await ready() else 0
-                if in_a_row >= times:
-                    return
-                silence.end()
-            except DeviceError as error:
-                silence.go_on(error)
-                in_a_row = 0
-            await asyncio.sleep(self.poll_s)
+        await self.wait_until(self.is_idle, SETTLED if self.mapping.state.busy else 1)
 
     def _make_failure(self, what: str, error: SilaError, *, began: bool = False) -> DeviceError:
         """The failure that a server reports for a command. Its effects are unknown, unless the server refused

@@ -71,5 +71,4 @@ def decide(state: LabState, command: Command, actor: str, keep: Keep | None = No
 
 def _decide(state: LabState, command: Command, actor: str) -> Decision:
     command = name_both_actors(command, actor)
-    decision = hold_for_approval(state, command, DECIDERS[type(command)](state, command), actor)
-    return decision if isinstance(decision, Rejection) else check_recordable(decision)
+    return check_recordable(hold_for_approval(state, command, DECIDERS[type(command)](state, command), actor))

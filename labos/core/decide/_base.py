@@ -52,9 +52,11 @@ D = TypeVar("D", bound=Decider)
 DECIDERS: dict[type[Command], Decider] = {}
 
 
-def check_recordable(events: Iterable[Event]) -> Decision:
-    """The events, or a rejection if one of them cannot be written because the input is too large or is not
-    JSON. If the events are generated one by one, only the first is checked."""
+def check_recordable(events: Decision) -> Decision:
+    """The decision, or a rejection if one of its events cannot be written because the input is too large or
+    is not JSON. If the events are generated one by one, only the first is checked."""
+    if isinstance(events, Rejection):
+        return events
     later = None if isinstance(events, list) else iter(events)
     known = [*(events if later is None else islice(later, 1))]
     for event in known:

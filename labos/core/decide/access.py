@@ -23,7 +23,7 @@ from labos.core.decide.runs import SubmitRun, plan_digest, submit_run
 from labos.core.decide.work import find_work
 from labos.core.ids import SHARED, LabwareId, StationName, local, workcell_of
 from labos.core.lab import AccessEnded, AccessGranted, AccessRequested
-from labos.core.labware import LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
+from labos.core.labware import GONE, LabwareObserved, LabwarePlaced, LabwareRemoved, StationDeclared
 from labos.core.modules import ModuleStatus
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
@@ -72,15 +72,13 @@ def list_in_motion(state: LabState, cell: str) -> list[str]:
     actions with an unknown outcome."""
     moving = [
         local(action.module)
-        for action in state.actions.open.values()
-        if workcell_of(action.module) == cell
-        and action.status != ActionStatus.UNKNOWN
-        and find_work(state, action) is None
+        for action in state.actions.list_in_cell(cell)
+        if action.status != ActionStatus.UNKNOWN and find_work(state, action) is None
     ]
     busy = [
         local(name)
-        for name, module in state.modules.by_name.items()
-        if workcell_of(name) == cell and module.status == ModuleStatus.BUSY and not module.in_flight
+        for name, module in state.modules.list_in_cell(cell)
+        if module.status == ModuleStatus.BUSY and not module.in_flight
     ]
     return [*moving, *busy]
 
@@ -88,10 +86,9 @@ def list_in_motion(state: LabState, cell: str) -> list[str]:
 def list_perhaps_in_motion(state: LabState, cell: str) -> list[str]:
     """The modules of a workcell that may still be in motion because the outcome of their action is unknown.
     The person with access has to take care of them."""
-    unknown = {
-        action.module: True for action in state.actions.open.values() if action.status == ActionStatus.UNKNOWN
-    }
-    return [local(module) for module in unknown if workcell_of(module) == cell]
+    actions = state.actions.list_in_cell(cell)
+    unknown = [local(action.module) for action in actions if action.status == ActionStatus.UNKNOWN]
+    return list(dict.fromkeys(unknown))
 
 
 @decides(RequestAccess)
@@ -176,7 +173,7 @@ def _apply_change(
     here = left.setdefault(change.station, list(station.labware))
     if change.what == "empty":
         gone = [name for name in here if name not in kept]
-        events: list[Event] = [LabwareRemoved(n, "", StationName(""), f"taken away ({by})") for n in gone]
+        events: list[Event] = [LabwareRemoved(n, "", GONE, f"taken away ({by})") for n in gone]
         here.clear()
         return [*events, StationDeclared(change.station, ())]
     if len(here) + len(station.stock) >= station.spec.capacity:

@@ -76,31 +76,30 @@ class StartStep(InnerCommand, frozen=True):
     plan: str = ""
 
 
-class AcceptAction(Report, frozen=True):
-    """The node reports that it carries the attempt out."""
-
+class AttemptReport(Report, frozen=True):
     action: ActionId
     attempt: int
+
+
+class AcceptAction(AttemptReport, frozen=True):
+    """The node reports that it carries the attempt out."""
+
     now: int
 
 
-class RefuseAction(Report, frozen=True):
+class RefuseAction(AttemptReport, frozen=True):
     """The node reports that it did not and will not carry the attempt out."""
 
-    action: ActionId
-    attempt: int
     why: str
     final: bool = True
 
 
-class FinishAction(Report, frozen=True):
+class FinishAction(AttemptReport, frozen=True):
     """The node reports how the attempt ended, and when by its own clock (``ended_ns``, 0: unknown).
     ``collided``: something was hit, dropped or jammed. ``journal`` is the journal from which the report
     comes; for an open action it has to be the one for which the request was meant. If ``journal`` is empty,
     the report does not come from a node."""
 
-    action: ActionId
-    attempt: int
     succeeded: bool
     effects: EffectsDone
     result: Any = None
@@ -110,11 +109,9 @@ class FinishAction(Report, frozen=True):
     journal: str = ""
 
 
-class ResendAction(Report, frozen=True):
+class ResendAction(AttemptReport, frozen=True):
     """The attempt can never run: make the next attempt."""
 
-    action: ActionId
-    attempt: int
     journal: str
 
 
@@ -126,10 +123,6 @@ class DoubtAction(Report, frozen=True):
 
 
 @decides(StartStep)
-def start_step(state: LabState, command: StartStep) -> Decision:
-    return request_action(state, command)
-
-
 def request_action(
     state: LabState, command: StartStep, others: Collection[RunId] = (), together: tuple[ActionId, ...] = ()
 ) -> Decision:
@@ -287,7 +280,7 @@ def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[
 
 @decides_about(AcceptAction, find_attempt)
 def accept_action(state: LabState, command: AcceptAction, action: Action) -> Decision:
-    accepted = ActionAccepted(action.id, action.run, action.step, action.module, action.attempt)
+    accepted = make_from(ActionAccepted, action, action=action.id)
     if action.status == ActionStatus.UNKNOWN and not action.looks:
         # Its node was away and is back. A question because of a late end stays open.
         due = find_end_by(state, action)
@@ -359,9 +352,8 @@ def finish(state: LabState, action: Action, command: FinishAction) -> Iterator[E
         yield from list_effect_events(state, action, command.effects, why, command.result)
         return
     ended_ns = command.ended_ns if command.ended_ns >= action.requested_at else 0
-    recovered = state.modules.by_name[action.module].status == ModuleStatus.ERROR and _is_recovery(
-        state, action
-    )
+    was_in_error = state.modules.by_name[action.module].status == ModuleStatus.ERROR
+    recovered = was_in_error and _is_recovery(state, action)
     yield ActionSucceeded(*ids, command.result, ended_ns)
     yield from list_effect_events(state, action, "all", "", command.result)
     yield from record_barcodes(state, action, command.result)
@@ -377,16 +369,14 @@ def _keep_evidence(state: LabState, command: FinishAction) -> Decision:
         return []
     effects: EffectsDone = "all" if command.succeeded else command.effects
     events: list[Event] = [
-        ActionEvidence(
-            command.action,
-            RunId(""),
-            0,
-            settled.module,
-            command.attempt,
-            command.succeeded,
-            effects,
-            settled.effects,
-            command.error,
+        make_from(
+            ActionEvidence,
+            command,
+            run=RunId(""),
+            step=0,
+            module=settled.module,
+            effects=effects,
+            settled_as=settled.effects,
         )
     ]
     if effects != settled.effects:

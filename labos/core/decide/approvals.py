@@ -11,7 +11,7 @@ from labos.core.ids import RunId, local
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
-from labos.core.topics import SecondPerson
+from labos.core.topics import SecondPerson, name_some
 from labos.core.users import ON_BEHALF, find_person
 
 MOST_NAMED = 5
@@ -49,10 +49,9 @@ def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> I
         return
     plans = (state.runs.plans[name] for name in run.choices or (run.plan,))
     steps = next([known.plan.steps[index] for index in known.dangers] for known in plans if known.dangers)
-    named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps[:MOST_NAMED]]
-    more = f" and {len(steps) - MOST_NAMED} more" if len(steps) > MOST_NAMED else ""
+    named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps]
     text = (
-        f"Run {run.id} ({run.workflow}) of {run.user} has dangerous steps: {', '.join(named)}{more}. "
+        f"Run {run.id} ({run.workflow}) of {run.user} has dangerous steps: {name_some(named, MOST_NAMED)}. "
         "It needs the approval of a second person."
     )
     yield state.interventions.ask(SecondPerson(run=run.id, module=steps[0].module), text)

@@ -9,16 +9,14 @@ import msgspec
 from labos.core.actions import Action
 from labos.core.bench import Labware, remove_labware
 from labos.core.effects import Reads
-from labos.core.ids import LabwareId, StationName, local
-from labos.core.labware import BarcodeRead, LabwareObserved, LabwareUncertain
+from labos.core.ids import LabwareId, local
+from labos.core.labware import GONE, BarcodeRead, LabwareObserved, LabwareUncertain
 from labos.core.registry import Event
 from labos.core.runs import RunPaused
 from labos.core.state import LabState
 from labos.core.topics import Barcode
 
 LONGEST_BARCODE = 128
-
-NOWHERE = StationName("")
 
 
 def find_barcode(result: Any) -> str:
@@ -56,7 +54,7 @@ def _report_contradiction(
     reading = f"{local(action.module)} read the barcode {code} at {place}, where {labware.id} should stand."
     known = f" {labware.id} bears {labware.barcode}." if labware.barcode else ""
     events: list[Event] = []
-    places = (labware.station, NOWHERE)
+    places = (labware.station, GONE)
     topic = Barcode(
         run=action.run,
         module=action.module,
@@ -90,11 +88,8 @@ def _describe_place(labware: Labware) -> str:
 def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> list[Event]:
     """The events that follow when a person has checked the plate. Labware that was found or taken away
     meanwhile is not changed."""
-    labware, other, here = (
-        _find_uncertain(state, topic.labware),
-        _find_uncertain(state, topic.other),
-        topic.station,
-    )
+    labware, other = find_uncertain(state, topic.labware), find_uncertain(state, topic.other)
+    here = topic.station
     events: list[Event] = []
     if other is not None:
         there = other.maybe[0] if choice not in ("swapped", "other") else here
@@ -107,7 +102,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
         return events
     if choice in ("gone", "other"):
         why = f"not where it was recorded ({by})"
-        return [*events, *remove_labware(state.bench, labware.id, "", NOWHERE, why)]
+        return [*events, *remove_labware(state.bench, labware.id, "", GONE, why)]
     place = other.maybe[0] if choice == "swapped" and other is not None else here
     events.append(LabwareObserved(labware.id, "", place, by))
     if choice == "relabelled":
@@ -115,6 +110,7 @@ def settle_barcode(state: LabState, topic: Barcode, choice: str, by: str) -> lis
     return events
 
 
-def _find_uncertain(state: LabState, name: LabwareId) -> Labware | None:
+def find_uncertain(state: LabState, name: LabwareId) -> Labware | None:
+    """The labware, if its place is uncertain."""
     labware = state.bench.labware.get(name)
     return labware if labware is not None and labware.maybe else None

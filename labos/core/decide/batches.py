@@ -50,8 +50,7 @@ def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
             other = name_payload(command, keys[run.request])
             why = f"Its key {run.request!r} is also the key of {other}."
             return name_run(command, number, Rejection("twice", why, "Give each run its own key."))
-        decision = submit_run(state, run)
-        fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
+        fit = check_recordable(submit_run(state, run))
         if isinstance(fit, Rejection):
             return name_run(command, number, fit)
         user = _find_user(state, run)

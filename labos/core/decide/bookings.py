@@ -88,25 +88,21 @@ class CancelBooking(Command, frozen=True):
     begins: int = 0
 
 
-class NearBooking(InnerCommand, frozen=True):
+class TurnBooking(InnerCommand, frozen=True):
+    booking: str
+    now: int
+
+
+class NearBooking(TurnBooking, frozen=True):
     """A booking begins soon."""
 
-    booking: str
-    now: int
 
-
-class BeginBooking(InnerCommand, frozen=True):
+class BeginBooking(TurnBooking, frozen=True):
     """The time of a booking has come."""
 
-    booking: str
-    now: int
 
-
-class EndBooking(InnerCommand, frozen=True):
+class EndBooking(TurnBooking, frozen=True):
     """The time of a booking is over."""
-
-    booking: str
-    now: int
 
 
 @decides(MakeBooking)
@@ -193,15 +189,7 @@ def _make_event(
     over: tuple[str, ...],
 ) -> Event:
     terms = command.terms
-    return make_from(
-        kind,
-        terms,
-        booking=name,
-        target=target,
-        by=command.by,
-        why=terms.why or "",
-        over=over,
-    )
+    return make_from(kind, terms, booking=name, target=target, by=command.by, why=terms.why or "", over=over)
 
 
 def _find_overridden(
@@ -342,15 +330,7 @@ def _find_first_overlap(ours: list[BookingSpan], others: list[BookingSpan]) -> B
 
 
 def _as_booking(name: str, target: str, terms: NewTerms) -> Booking:
-    return make_from(
-        Booking,
-        terms,
-        id=name,
-        target=target,
-        by="",
-        why="",
-        made=0,
-    )
+    return make_from(Booking, terms, booking=name, target=target, by="", why="")
 
 
 # -- reactions -------------------------------------------------------------------------------------
@@ -380,13 +360,9 @@ def ask_about_overrun(state: LabState, event: BookingBegan) -> Iterator[Event]:
                 f"{in_zone(event.ends, booking.zone)} ({booking.id}), and step {step.key!r} of {run.id} "
                 f"({run.user}) is still under way on {local(module)}. It goes on to its end.",
             )
-    if not any(_stand_asked(state, booking)):
+    asked = [question.topic for question in state.interventions.list_about(_make_subject(booking.id))]
+    if not any(isinstance(topic, BookedPlace) and topic.labware for topic in asked):
         yield from _ask(state, booking, event.begins)
-
-
-def _stand_asked(state: LabState, booking: Booking) -> Iterator[bool]:
-    for question in state.interventions.list_about(_make_subject(booking.id)):
-        yield isinstance(question.topic, BookedPlace) and bool(question.topic.labware)
 
 
 def _ask(state: LabState, booking: Booking, begins: int) -> Iterator[Event]:

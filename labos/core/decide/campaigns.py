@@ -36,7 +36,7 @@ from labos.core.ids import CampaignId, RunId
 from labos.core.model import MAIN, Plan
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
-from labos.core.resources import list_used_up
+from labos.core.resources import sum_consumption
 from labos.core.roles import explain_lacking_role
 from labos.core.runs import RunPaused, RunResumed, RunSubmitted
 from labos.core.state import LabState
@@ -148,7 +148,7 @@ def _expect_next(state: LabState, command: SubmitRow | RefuseRow) -> Campaign | 
         return Rejection(NOT_OPEN, f"The campaign {name} takes no rows.")
     if row != campaign.next_row or not campaign.left:
         return Rejection(NOT_NEXT, f"Row {row} of {name} is not the next one: {campaign.next_row} is.")
-    if not campaign.takes_rows:
+    if not campaign.room:
         return Rejection(NO_ROOM, f"{name} already has enough waiting runs.")
     return campaign
 
@@ -308,15 +308,6 @@ def explain_over_budget(state: LabState, campaign: Campaign, plan: Plan) -> str:
 def compute_module_time_s(plan: Plan) -> float:
     """The nominal module time of a plan without failures, in lab seconds."""
     return sum(step.duration_s for step in plan.steps if step.part == MAIN)
-
-
-def sum_consumption(plan: Plan) -> dict[str, float]:
-    """The consumption of a plan without failures, by kind."""
-    found: dict[str, float] = {}
-    for index, _, resource, amount in list_used_up(plan.steps):
-        if plan.steps[index].part == MAIN:
-            found[resource] = found.get(resource, 0.0) + amount
-    return found
 
 
 def _find_steps_read(campaign: Campaign, plan: Plan) -> dict[str, int]:

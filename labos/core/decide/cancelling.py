@@ -44,10 +44,8 @@ class GiveUpWayOut(InnerCommand, frozen=True):
 def cancel_run(state: LabState, command: CancelRun, run: RunState) -> Decision:
     if run.is_ending and (run.stay or not command.stay):
         return record_repeat(command.run, "cancel", command.why)
-    leaves = (
-        run.status == RunStatus.ACTIVE and not command.stay and bool(list_steps_out(state.runs.plan_of(run)))
-    )
-    if leaves or has_open_action(run):
+    may_leave = run.status == RunStatus.ACTIVE and not command.stay
+    if (may_leave and list_steps_out(state.runs.plan_of(run))) or has_open_action(run):
         return [RunCancelling(command.run, stay=command.stay, reason=command.why)]
     return record_end(state, run, RunCancelled(command.run, command.why), "was cancelled")
 
@@ -62,18 +60,13 @@ def cancel_all(
 
 @decides_about(TakeWayOut, find_active_run)
 def take_way_out(state: LabState, command: TakeWayOut, run: RunState) -> Decision:
-    if has_open_action(run) or not will_leave(state.runs.plan_of(run), run):
+    plan = state.runs.plan_of(run)
+    if has_open_action(run) or not will_leave(plan, run):
         return []
-    steps = (
-        ()
-        if has_lost_labware(state, run)
-        else find_way_out(state.runs.plan_of(run), find_bench_of_run(state, run))
-    )
-    return (
-        [RunLeaving(run.id, steps)]
-        if steps
-        else record_end(state, run, RunCancelled(run.id), "was cancelled")
-    )
+    steps = () if has_lost_labware(state, run) else find_way_out(plan, find_bench_of_run(state, run))
+    if steps:
+        return [RunLeaving(run.id, steps)]
+    return record_end(state, run, RunCancelled(run.id), "was cancelled")
 
 
 @decides_about(GiveUpWayOut, find_active_run)

@@ -76,8 +76,7 @@ def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision
     loads = load_stations(state, command.loads)
     if isinstance(loads, Rejection):
         return loads
-    run = submit_run(state, command.run)
-    fit = run if isinstance(run, Rejection) else check_recordable(run)
+    fit = check_recordable(submit_run(state, command.run))
     return fit if isinstance(fit, Rejection) else chain(loads, fit)
 
 
@@ -106,8 +105,7 @@ def declare_stations(state: LabState, command: DeclareStations) -> Decision:
     if twice is not None:
         return Rejection("twice", f"{local(twice)} is declared twice.", "Declare it once.")
     for declared in command.stations:
-        decision = declare_station(state, declared)
-        fit = decision if isinstance(decision, Rejection) else check_recordable(decision)
+        fit = check_recordable(declare_station(state, declared))
         if isinstance(fit, Rejection):
             return fit
     return carry_out_all(state, command.stations, declare_station)

@@ -9,6 +9,7 @@ from labos.core.bench import StationState, split_item
 from labos.core.decide._base import Rejection
 from labos.core.ids import SHARED, LabwareId, StationName, local
 from labos.core.labware import (
+    GONE,
     LabwareMoved,
     LabwareObserved,
     LabwarePlaced,
@@ -19,8 +20,6 @@ from labos.core.labware import (
 )
 from labos.core.registry import Event
 from labos.core.state import LabState
-
-GONE = StationName("")
 
 
 def list_recorded(state: LabState, name: StationName) -> list[str]:

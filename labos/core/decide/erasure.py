@@ -12,6 +12,7 @@ from labos.core.decide.policy import find_service
 from labos.core.erasure import REASONS, Erasure, ErasureAsked, ErasureRefused, WordsErased
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import find_person
 
 PER_EVENT = 400
@@ -57,8 +58,7 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
     if not state.approvals.policy.erasure and not command.erasure:
         return list(_erase(command, command.by, ""))
     if not command.erasure:
-        name, terms = state.erasures.next_id, (command.because, command.by)
-        return [ErasureAsked(name, *terms, command.records, command.user)]
+        return [make_from(ErasureAsked, command, erasure=state.erasures.next_id)]
     asked = _expect_erasure(state, command)
     if isinstance(asked, Rejection):
         return asked
@@ -78,14 +78,13 @@ def erase_words(state: LabState, command: EraseWords) -> Decision:
 def _erase(command: EraseWords, by: str, approved_by: str) -> Iterator[Event]:
     for begin in range(0, len(command.found), PER_EVENT):
         some = command.found[begin : begin + PER_EVENT]
-        yield WordsErased(
-            command.erasure,
-            command.because,
-            by,
-            tuple(digest for _, digest in some),
-            tuple(dict.fromkeys(position for position, _ in some)),
-            command.user,
-            approved_by,
+        yield make_from(
+            WordsErased,
+            command,
+            by=by,
+            digests=tuple(digest for _, digest in some),
+            records=tuple(dict.fromkeys(position for position, _ in some)),
+            approved_by=approved_by,
         )
 
 

@@ -18,14 +18,7 @@ from labos.core.experiments import (
     ExperimentResumed,
     ExperimentStarted,
 )
-from labos.core.ids import (
-    ExperimentId,
-    RunId,
-    StationName,
-    experiment_owner,
-    local,
-    user_owner,
-)
+from labos.core.ids import ExperimentId, RunId, StationName, experiment_owner, local, user_owner
 from labos.core.labware import LabwareHandedOver
 from labos.core.model import Plan
 from labos.core.open_experiments import Experiment, ExperimentStatus, note_digest
@@ -165,9 +158,7 @@ def note_experiment(state: LabState, command: NoteExperiment, experiment: Experi
         )
     known = experiment.notes.get(command.key) if command.key else None
     if known is None:
-        return [
-            ExperimentNoted(command.experiment, command.kind, command.name, command.facts, command.key),
-        ]
+        return [make_from(ExperimentNoted, command)]
     if known == note_digest(command.kind, command.name, command.facts):
         return []
     return Rejection(

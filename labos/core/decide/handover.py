@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from labos.core.bench import Labware
 from labos.core.decide._base import Command, Decision, Rejection
-from labos.core.decide.lookups import decides_about, expect_labware
+from labos.core.decide.lookups import decides_about, expect_labware, find_owner
 from labos.core.decide.users import refuse_unknown_user
 from labos.core.ids import NOBODY, SHARED, ExperimentId, LabwareId, Owner, RunId, split_key
 from labos.core.labware import LabwareHandedOver
@@ -80,9 +80,7 @@ def _refuse_in_use(state: LabState, labware: Labware) -> Rejection | None:
 
 
 def _refuse_not_theirs(state: LabState, labware: Labware, command: HandOver) -> Rejection | None:
-    kind, name = split_key(labware.owner)
-    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
-    owner = experiment.user if experiment is not None else name
+    owner = find_owner(state, labware.owner)
     if labware.owner in (NOBODY, SHARED) or owner == find_person(command.by):
         return None
     if not command.force:

@@ -12,7 +12,7 @@ from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finish
 from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
-from labos.core.decide.experiments import close_experiment, end_without_closing
+from labos.core.decide.experiments import EndExperiment, end_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, is_read_later, limit_result, settle, settle_found
 from labos.core.decide.proposals import answer_question
@@ -22,11 +22,8 @@ from labos.core.decide.steps import answer_failed
 from labos.core.effects import Move, Relid, Unlid, list_arrivals
 from labos.core.holding import find_user_meanwhile
 from labos.core.ids import ActionId, InterventionId, ModuleName, RunId, StationName, local
-from labos.core.interventions import (
-    Intervention,
-    InterventionResolved,
-)
-from labos.core.labware import LabwareObserved, LabwarePlaced
+from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.labware import GONE, LabwareObserved, LabwarePlaced
 from labos.core.modules import ModulePutBack
 from labos.core.registry import Event
 from labos.core.rules import may_still_act
@@ -120,7 +117,8 @@ def _decide_answer(state: LabState, question: Intervention, command: ResolveInte
         case ShorterLog():
             return finish_round(state, by, command.note)
         case LostExperiment():
-            return _close(state, topic) if choice == "close" else []
+            end = EndExperiment(topic.experiment, "its application was lost")
+            return end_experiment(state, end) if choice == "close" else []
         case LateResult() | DiscoveredAction() | DoubtfulNode() | DeviceWaits() | BookedPlace() | None:
             return []  # nothing follows, except that a person has taken care of it
         case _:
@@ -132,19 +130,8 @@ def _clear_away(state: LabState, topic: LeftLabware, by: str) -> list[Event]:
         event
         for name in topic.labware
         if name in state.bench.labware and not state.bench.labware[name].moving
-        for event in remove_labware(state.bench, name, "", StationName(""), f"taken away ({by})")
+        for event in remove_labware(state.bench, name, "", GONE, f"taken away ({by})")
     ]
-
-
-def _close(state: LabState, topic: LostExperiment) -> Decision:
-    experiment = state.experiments.open.get(topic.experiment)
-    if experiment is not None and experiment.runs:
-        return Rejection(
-            "runs_alive",
-            f"The experiment {experiment.id} still has runs: {', '.join(experiment.runs)}.",
-            "Wait for them or cancel them first.",
-        )
-    return close_experiment(state, topic.experiment, "its application was lost")
 
 
 def _confirm(state: LabState, action: Action, command: ResolveIntervention) -> Decision:

@@ -18,7 +18,7 @@ from labos.core.decide._base import (
 from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.decide.shorter import record_shorter_log
 from labos.core.effects import Replaces, list_places
-from labos.core.ids import SHARED, LabId, ModuleName, RunId, StationName, level_key, local, workcell_of
+from labos.core.ids import SHARED, LabId, ModuleName, StationName, level_key, local, workcell_of
 from labos.core.lab import LEAP, KernelStarted, LabCreated, StationsApplied, WorkcellApplied
 from labos.core.labware import LabwarePlaced, StationDeclared
 from labos.core.model import StationSpec, Workcell
@@ -27,6 +27,7 @@ from labos.core.registry import Event
 from labos.core.resources import LevelSet
 from labos.core.shelves import is_in_doubt
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import DiscoveredAction
 
 STATIONS_PER_EVENT = 40
@@ -91,14 +92,12 @@ def _start(state: LabState, command: StartKernel) -> Iterator[Event]:
         if module is not None and module.out_of_service:
             yield ModulePutBack(name)
     for question in asked:
-        why = "the whole bench is being compared with the log"
-        yield question.withdraw(why)
+        yield question.withdraw("the whole bench is being compared with the log")
 
 
 @decides(ApplyWorkcell)
 def apply_workcell(state: LabState, command: ApplyWorkcell) -> Decision:
-    applied = _apply(state, command.workcell)
-    fit = applied if isinstance(applied, Rejection) else check_recordable(applied)
+    fit = check_recordable(_apply(state, command.workcell))
     if isinstance(fit, Rejection) or command.contents is None:
         return fit
     for spec in command.workcell.places:
@@ -126,9 +125,7 @@ def _apply(state: LabState, cell: Workcell) -> list[Event] | Rejection:
     forbidden = list_obstacles(state, cell)
     if forbidden:
         return forbidden[0]
-    events: list[Event] = [
-        WorkcellApplied(cell.name, cell.digest, cell.modules, cell.labware, cell.transfers)
-    ]
+    events: list[Event] = [make_from(WorkcellApplied, cell)]
     for first in range(0, len(cell.stations), STATIONS_PER_EVENT):
         events.append(StationsApplied(cell.name, cell.stations[first : first + STATIONS_PER_EVENT]))
     gone = sorted(_find_left_out(state, cell)[1])
@@ -175,11 +172,12 @@ def _find_needed(state: LabState, cell: Workcell) -> Iterator[Rejection]:
         needed.update(place for step in plan.plan.steps for place in list_places(step.effects))
         refilled = (e.module for s in plan.plan.steps for e in s.effects if isinstance(e, Replaces))
         needed.update(refilled)
-        by = [run.id for run in runs if run.plan == digest]
+        users = ", ".join(run.id for run in runs if run.plan == digest)
+        by = f" by {users}" if users else ""
         for name in sorted(gone & needed):
             yield Rejection(
                 "plan_in_use",
-                f"The workflow {plan.plan.workflow!r} is in use{_name_users(by)} and needs {local(name)}.",
+                f"The workflow {plan.plan.workflow!r} is in use{by} and needs {local(name)}.",
                 "Wait until its runs and experiments have ended, or cancel them.",
             )
 
@@ -230,10 +228,6 @@ def _find_too_small(state: LabState, cell: Workcell) -> Iterator[Rejection]:
                 "of its new capacity.",
                 "Move the labware away first.",
             )
-
-
-def _name_users(runs: list[RunId]) -> str:
-    return f" by {', '.join(runs)}" if runs else ""
 
 
 @decides_about(DeclareStation, expect_station)

@@ -12,6 +12,7 @@ from labos.core.ids import LabwareId
 from labos.core.labware import BarcodeRead, Sample, SamplesRegistered
 from labos.core.registry import Event
 from labos.core.state import LabState
+from labos.core.structs import make_from
 
 
 class PlateSamples(msgspec.Struct, frozen=True):
@@ -47,9 +48,7 @@ def register_samples(state: LabState, command: RegisterSamples) -> Decision:
                 f"The samples of {plate.labware} were registered from another sheet.",
                 f"Show them with `labos samples show {plate.labware}`; replace them with --replace.",
             )
-        events.append(
-            SamplesRegistered(plate.labware, "", command.sheet, plate.count, plate.wells, plate.blob)
-        )
+        events.append(make_from(SamplesRegistered, plate, run="", sheet=command.sheet))
     return events
 
 

@@ -206,9 +206,7 @@ def quarantine(state: LabState, command: Quarantine) -> Decision:
 
 @decides_about(PutBack, _expect_known)
 def put_back(state: LabState, command: PutBack, module: Module) -> Decision:
-    if not module.out_of_service:
-        return []
-    return [ModulePutBack(command.module)]
+    return [ModulePutBack(command.module)] if module.out_of_service else []
 
 
 @decides(EndOutage)

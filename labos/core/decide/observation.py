@@ -9,14 +9,14 @@ from typing import assert_never
 from labos.core.actions import Action, ActionStatus
 from labos.core.bench import Labware, StationState
 from labos.core.decide._base import Command, Decision, Rejection, refuse_hotel
+from labos.core.decide.barcodes import find_uncertain
 from labos.core.decide.lookups import decides_about, expect_labware, expect_station
 from labos.core.decide.outcomes import find_shown_outcome, is_read_later, settle
 from labos.core.effects import list_carried, list_moved, list_places, name_hand
 from labos.core.ids import SHARED, ActionId, LabwareId, StationName, local
-from labos.core.interventions import (
-    Intervention,
-)
+from labos.core.interventions import Intervention
 from labos.core.labware import (
+    GONE,
     LabwareObserved,
     LabwarePlaced,
     LabwareRemoved,
@@ -37,9 +37,6 @@ from labos.core.topics import (
     name_some,
     split_into_batches,
 )
-
-GONE = StationName("")
-"""The place of labware that is off the bench."""
 
 
 class ObserveStation(Command, frozen=True):
@@ -248,11 +245,11 @@ def _decide_count(
     known = len(here) + len(station.stock)
     types = {item.type for item in here} | set(station.stock)
     if command.kind and known and command.kind not in types and not sight.count_room(name):
-        return _doubt_other_type(state, here, station, command)
+        return _doubt_recorded(state, here, station, command, command.kind)
     fits = known and (not command.kind or command.kind in types)
     more = command.count - known if command.count is not None else (0 if fits else 1)
     if more < 0:
-        return _doubt_missing(state, here, station, command)
+        return _doubt_recorded(state, here, station, command)
     if more == 0:
         sight.add_empty(name)
         return chain(_withdraw_strange(state, name), sight.events())
@@ -306,35 +303,27 @@ def _find_question(state: LabState, place: StationName) -> Intervention | None:
     return next((question for question in asked if question.subject == place), None)
 
 
-def _doubt_missing(
-    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
+def _doubt_recorded(
+    state: LabState, here: list[Labware], station: StationState, command: ObserveStation, other_type: str = ""
 ) -> Iterator[Event]:
+    """The recorded labware was not seen, or labware of another type. If no labware with an id stands there,
+    nothing follows: a person has declared the stock of a stack."""
     place = station.spec.name
-    seen = "empty" if not command.count else f"with {command.count}"
-    for item in here:
-        yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
-    for some in split_into_batches(NotSeen, [item.id for item in here]):
-        yield state.interventions.ask(
-            NotSeen(module=station.spec.module, station=place, labware=tuple(some)),
-            f"{command.by} saw {local(place)} {seen}, where {name_some(some)} should stand. Where is it? "
-            f"If it stands elsewhere, say so with `labos observe STATION {some[0]}`.",
-        )
-
-
-def _doubt_other_type(
-    state: LabState, here: list[Labware], station: StationState, command: ObserveStation
-) -> Iterator[Event]:
-    """If no labware with an id stands there, nothing follows: a person has declared the stock of a stack."""
-    module, place, kind = station.spec.module, station.spec.name, command.kind
     for item in here:
         yield LabwareUncertain(item.id, "", (place, GONE), f"not seen by {command.by}")
     for some in split_into_batches(NotSeen, here):
-        recorded = name_some([f"{item.id} ({item.type})" for item in some])
         names = tuple(item.id for item in some)
-        yield state.interventions.ask(
-            NotSeen(module=module, station=place, labware=names, other_type=kind),
-            f"{command.by} saw {kind} at {local(place)}, where {recorded} should stand.",
-        )
+        if other_type:
+            recorded = name_some([f"{item.id} ({item.type})" for item in some])
+            text = f"{command.by} saw {other_type} at {local(place)}, where {recorded} should stand."
+        else:
+            seen = "empty" if not command.count else f"with {command.count}"
+            text = (
+                f"{command.by} saw {local(place)} {seen}, where {name_some(names)} should stand. Where is it?"
+                f" If it stands elsewhere, say so with `labos observe STATION {names[0]}`."
+            )
+        topic = NotSeen(module=station.spec.module, station=place, labware=names, other_type=other_type)
+        yield state.interventions.ask(topic, text)
 
 
 def _report_elsewhere(state: LabState, labware: Labware, station: StationState, by: str) -> Iterator[Event]:
@@ -399,12 +388,7 @@ def settle_sight(
             return [LabwarePlaced(state.bench.next_id, "", topic.type, here, SHARED)] if new else []
         case _:
             assert_never(topic)
-    return [_observe_at(name, place, by) for name, place in where.items() if _is_doubtful(state, name)]
-
-
-def _is_doubtful(state: LabState, name: LabwareId) -> bool:
-    labware = state.bench.labware.get(name)
-    return labware is not None and bool(labware.maybe)
+    return [_observe_at(name, place, by) for name, place in where.items() if find_uncertain(state, name)]
 
 
 def _observe_at(labware: LabwareId, place: StationName, by: str) -> Event:

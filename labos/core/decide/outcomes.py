@@ -7,11 +7,7 @@ from typing import Any
 
 import msgspec
 
-from labos.core.actions import (
-    Action,
-    ActionReconciled,
-    EffectsDone,
-)
+from labos.core.actions import Action, ActionReconciled, EffectsDone
 from labos.core.bench import add_arrival, compute_a1_after, remove_labware, split_item
 from labos.core.canonical import encode_canonical
 from labos.core.decide.barcodes import record_barcodes
@@ -35,6 +31,7 @@ from labos.core.effects import (
 from labos.core.ids import NOBODY, SHARED, LabwareId, ModuleName, Owner, StationName, local, run_owner
 from labos.core.interventions import InterventionRequested
 from labos.core.labware import (
+    GONE,
     LabwareChanged,
     LabwareMoved,
     LabwareObserved,
@@ -49,6 +46,7 @@ from labos.core.registry import Event
 from labos.core.resources import ResourceConsumed, ResourceReplenished, list_charges
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.topics import LostLabware, UnknownAction
 from labos.core.wells import list_doses
 
@@ -118,9 +116,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
     if choice == "done" and result is None and action.looks:
         result = action.result
     done: EffectsDone = {"done": "all", "not_done": "none"}.get(choice, "partial")  # type: ignore[assignment]
-    yield ActionReconciled(
-        action.id, action.run, action.step, action.module, action.attempt, done, by, result
-    )
+    yield make_from(ActionReconciled, action, action=action.id, effects=done, by=by, result=result)
     if choice == "done":
         yield from list_effect_events(state, action, "all", "", result, looked=True)
         yield from record_barcodes(state, action, result, by)
@@ -131,9 +127,7 @@ def settle(state: LabState, action: Action, choice: str, by: str, result: Any = 
                 yield _find_at(state, effect, effect.source, action.run, by, action.id)
             case Move() if choice == "gone" and effect.labware in state.bench.labware:
                 why = f"taken away ({by})"
-                yield from remove_labware(
-                    state.bench, effect.labware, action.run, StationName(""), why, action.id
-                )
+                yield from remove_labware(state.bench, effect.labware, action.run, GONE, why, action.id)
             case Take() if choice == "gone":
                 yield from _take_away(state, action.run, effect, by)
             case Consumes() if choice == "gone":
@@ -248,7 +242,7 @@ def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, f
 def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:
     """The places at which a person has seen labware of a motion after its outcome became unknown, if these
     are not places of the motion. This observation is later than the device's report."""
-    own = {StationName(""), name_hand(action.module), *list_places(action.effects)}
+    own = {GONE, name_hand(action.module), *list_places(action.effects)}
     items = [state.bench.labware[e.labware] for e in list_moved(action.effects)]
     displaced = state.shorter.displaced  # a later action may have carried it further
     return {item.id: item.station for item in items if item.station not in own or item.id in displaced}
@@ -322,7 +316,7 @@ def _take_away(state: LabState, run: str, effect: Take, by: str) -> list[Event]:
     item, lot = find_topmost(state, effect)
     return [
         LabwarePlaced(effect.labware, run, split_item(item)[0], effect.stack, NOBODY, effect.stack, lot=lot),
-        LabwareRemoved(effect.labware, run, StationName(""), f"taken away ({by})"),
+        LabwareRemoved(effect.labware, run, GONE, f"taken away ({by})"),
     ]
 
 
@@ -344,7 +338,7 @@ def settle_found(state: LabState, motions: tuple[AnyEffect, ...], choice: str, b
                 pass  # it has left the bench since the question was asked
             case Move(), "gone":
                 why = f"taken away ({by})"
-                yield from remove_labware(state.bench, effect.labware, "", StationName(""), why)
+                yield from remove_labware(state.bench, effect.labware, "", GONE, why)
             case Move(), _:
                 place = effect.source if choice == "source" else effect.target
                 if state.bench.stations[place].spec.kind == "waste":

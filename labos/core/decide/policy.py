@@ -10,12 +10,13 @@ import msgspec
 from labos.core.approvals import Demand, Why, take_common_parts
 from labos.core.campaigns import Budget, Terms
 from labos.core.decide._base import Command, Rejection
-from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, compute_module_time_s, sum_consumption
+from labos.core.decide.campaigns import AmendCampaign, SubmitCampaign, compute_module_time_s
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.runs import SubmitRun
 from labos.core.ids import ExperimentId, local
 from labos.core.model import MAIN, Plan
 from labos.core.quotas import find_highest_priority
+from labos.core.resources import sum_consumption
 from labos.core.roles import rank_role_in
 from labos.core.state import LabState
 from labos.core.users import LABOS, ON_BEHALF, find_person, rank

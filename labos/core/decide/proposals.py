@@ -5,26 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from itertools import chain
 
-from labos.core.approvals import (
-    ApprovalGiven,
-    ApprovalRefused,
-    ApprovalRequested,
-    Proposal,
-    RunApproved,
-)
-from labos.core.campaigns import (
-    CampaignAmended,
-    CampaignCancelled,
-    CampaignCompleted,
-    CampaignStopped,
-    Terms,
-)
+from labos.core.approvals import ApprovalGiven, ApprovalRefused, ApprovalRequested, Proposal, RunApproved
+from labos.core.campaigns import CampaignAmended, CampaignCancelled, CampaignCompleted, CampaignStopped, Terms
 from labos.core.decide._base import Command, Decision, Rejection, list_possible
-from labos.core.decide.campaigns import (
-    CancelCampaign,
-    cancel_campaign,
-    check_terms,
-)
+from labos.core.decide.campaigns import CancelCampaign, cancel_campaign, check_terms
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
 from labos.core.decide.lookups import decides_about
@@ -66,10 +50,8 @@ class RefuseProposal(Command, frozen=True):
 
 
 def _expect_proposal(state: LabState, command: ApproveProposal | RefuseProposal) -> Proposal | Rejection:
-    found, missing = (
-        state.approvals.open.get(command.subject),
-        f"{command.subject} does not wait for an approval.",
-    )
+    found = state.approvals.open.get(command.subject)
+    missing = f"{command.subject} does not wait for an approval."
     return found or Rejection("no_proposal", missing, "List what waits: labos approvals")
 
 

@@ -49,12 +49,7 @@ from labos.core.decide.proposals import ask_for_approval, withdraw_approval_ques
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions
-from labos.core.experiments import (
-    ExperimentCancelled,
-    ExperimentClosing,
-    ExperimentEnded,
-    ExperimentResumed,
-)
+from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded, ExperimentResumed
 from labos.core.lab import KernelStarted
 from labos.core.labware import LabwareMoved, LabwareRemoved
 from labos.core.modules import NodeLeft, NodeStateChanged

@@ -52,7 +52,7 @@ from labos.core.decide.targets import ANYWHERE, Target
 from labos.core.lab import WHOLE_LAB
 from labos.core.roles import rank_role_in
 from labos.core.state import LabState
-from labos.core.users import LABOS, ON_BEHALF, ROLES, Role, User, rank
+from labos.core.users import LABOS, ON_BEHALF, ROLES, Role, rank
 
 MOST_NAMED = 5
 """A refusal names at most this number of people who may do it."""
@@ -187,13 +187,9 @@ def _word_refusal(state: LabState, target: Target, who: str, needs: Role, cell: 
 
 def _find_who_may(state: LabState, needs: Role, cell: str) -> list[str]:
     """The people who have at least a role; those with the lowest such role come first."""
-    people = [name for name, user in state.users.known.items() if _may_act(user)]
+    people = [name for name, user in state.users.known.items() if user.is_person]
     ranks = {name: rank_role_in(state, name, cell) for name in people}
     return sorted((name for name in people if ranks[name] >= rank(needs)), key=lambda name: ranks[name])
-
-
-def _may_act(user: User) -> bool:
-    return user.kind == "person" and not user.disabled
 
 
 def _list_names(names: list[str]) -> str:

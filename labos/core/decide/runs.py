@@ -19,15 +19,7 @@ from labos.core.decide.windows import (
     list_questions,
 )
 from labos.core.effects import Consumes, list_carried, list_places
-from labos.core.ids import (
-    CampaignId,
-    ExperimentId,
-    ModuleName,
-    RunId,
-    StationName,
-    local,
-    workcell_of,
-)
+from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId, StationName, local, workcell_of
 from labos.core.model import Plan, PlanStep
 from labos.core.open_experiments import Experiment, ExperimentStatus
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
@@ -35,15 +27,7 @@ from labos.core.quotas import explain_full_queue
 from labos.core.registry import Event
 from labos.core.repeated import record_repeat
 from labos.core.resources import sum_needed
-from labos.core.runs import (
-    PENDING,
-    RunPaused,
-    RunResumed,
-    RunState,
-    RunStatus,
-    RunSubmitted,
-    find_anchor,
-)
+from labos.core.runs import PENDING, RunPaused, RunResumed, RunState, RunStatus, RunSubmitted, find_anchor
 from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.structs import make_from
@@ -290,9 +274,7 @@ def pause_run(state: LabState, command: PauseRun, run: RunState) -> Decision:
 
 @decides_about(ResumeRun, expect_run)
 def resume_run(state: LabState, command: ResumeRun, run: RunState) -> Decision:
-    if not run.paused:
-        return []
-    return [RunResumed(command.run)]
+    return [RunResumed(command.run)] if run.paused else []
 
 
 @decides(BreachWindow)

@@ -15,20 +15,13 @@ from labos.core.decide.endings import has_open_action, record_end
 from labos.core.decide.lookups import decides_about, expect_station
 from labos.core.effects import AnyEffect, Carrying, Needs, list_carried, list_places, name_hand
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName, local, workcell_of
-from labos.core.labware import LabwareUncertain
+from labos.core.labware import GONE, LabwareUncertain
 from labos.core.modules import ModuleStatus, VariableSet
 from labos.core.registry import Event
 from labos.core.runs import RunCancelled, RunCancelling, RunPaused, RunStatus
-from labos.core.shorter import (
-    STATIONS_PER_EVENT,
-    BenchCompared,
-    LogFoundShorter,
-    StationsChecked,
-)
+from labos.core.shorter import STATIONS_PER_EVENT, BenchCompared, LogFoundShorter, StationsChecked
 from labos.core.state import LabState
-from labos.core.topics import ShorterLog, WhereItStands
-
-GONE = StationName("")
+from labos.core.topics import ShorterLog, WhereItStands, name_some
 
 HIGHEST = 2**53
 """No log has more events than this: a higher position from a node is not believed."""
@@ -38,9 +31,6 @@ MOST_EFFECTS = 100
 
 MANY_FOUND = 100
 """The most actions of one journal that are reported at once."""
-
-NAMED = 8
-"""A message names at most this number of stations."""
 
 
 class FoundAction(msgspec.Struct, frozen=True):
@@ -350,12 +340,9 @@ def finish_round(state: LabState, by: str, note: str) -> Decision:
     been reported; the message names them."""
     left = list_to_say(state)
     if left:
-        named = ", ".join(map(local, left[:NAMED])) + (
-            f" and {len(left) - NAMED} more" if len(left) > NAMED else ""
-        )
         return Rejection(
             "unsaid",
-            f"Nobody has reported what stands at {named}.",
+            f"Nobody has reported what stands at {name_some([local(name) for name in left])}.",
             "Check the whole bench and report it: labos bench round",
         )
     busy = find_strange_motion(state, "")

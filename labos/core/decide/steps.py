@@ -33,6 +33,7 @@ from labos.core.rules import NODE_AWAY_S, find_due_time, find_give_up_time, find
 from labos.core.runs import FAILED, RunState, RunStatus, find_results
 from labos.core.state import LabState
 from labos.core.steps import StepRecovering, StepRetried, StepSkipped, StepUnexpected
+from labos.core.structs import make_from
 from labos.core.topics import FailedStep
 
 
@@ -61,13 +62,12 @@ def doubt(
 ) -> list[Event]:
     """The events when it cannot be found out how an action ended. ``maybe`` lists the possible places of its
     labware, if more is known about them."""
-    ids = (action.id, action.run, action.step, action.module, action.attempt)
-    events: list[Event] = [ActionUnknown(*ids, why)]
+    unknown = make_from(ActionUnknown, action, action=action.id, why=why)
     if maybe is None:
         seen = find_carried_off(state, action)
         moves = [move for move in list_moved(action.effects) if move.labware not in seen]
         maybe = [mark_uncertain(action, effect, why) for effect in moves]
-    return [*events, *maybe, make_question(state, action, why, maybe)]
+    return [unknown, *maybe, make_question(state, action, why, maybe)]
 
 
 # -- reactions -----------------------------------------------------------------------------------

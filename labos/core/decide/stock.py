@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain, islice
 
@@ -125,8 +124,7 @@ def replenish(state: LabState, command: Replenish) -> Decision:
             "more do not fit.",
             f"Put in {room:g} at most.",
         )
-    short = functools.partial(_lacks, level=level, module=module, resource=resource, today=command.today)
-    awaited = _find_waiting(state, short)
+    awaited = _find_waiting(state, lambda step: _lacks(step, level, module, resource, command.today))
     put_in = (amount, command.lot, command.expires, awaited, command.instead)
     return [ResourceReplenished(module, resource, *put_in)]
 
@@ -149,6 +147,9 @@ def _expect_free_of_doubt(state: LabState, command: LoadStation | UnloadStation)
 
 @decides_about(LoadStation, _expect_free_of_doubt)
 def load_station(state: LabState, command: LoadStation, found: StationState) -> Decision:
+    def takes(step: PlanStep) -> bool:
+        return any(what.stock == command.station for what in list_carried(step.effects))
+
     name, spec = local(command.station), found.spec
     if spec.kind in ("waste", "gripper"):
         return Rejection("not_accepted", f"{name} is a {spec.kind}: labware cannot be loaded there.")
@@ -188,12 +189,9 @@ def load_station(state: LabState, command: LoadStation, found: StationState) -> 
                 f"{found.labware[-1]} stands on top of {name}.",
                 f"Take it away first: labos unload {name} {found.labware[-1]}.",
             )
-        awaited = (
-            () if found.stock else _find_waiting(state, functools.partial(_takes, stack=command.station))
-        )
+        awaited = () if found.stock else _find_waiting(state, takes)
         loaded = StationLoaded(command.station, command.labware, command.count, command.lot, awaited)
-        events.append(loaded)
-        return events
+        return [*events, loaded]
     if command.count > MOST_AT_ONCE:
         return Rejection(
             "too_many",
@@ -215,6 +213,9 @@ def _place(state: LabState, command: LoadStation, places: Sequence[StationName])
 
 @decides(UnloadStation)
 def unload_station(state: LabState, command: UnloadStation) -> Decision:
+    def throws_away(step: PlanStep) -> bool:
+        return any(what.filled == command.station for what in list_carried(step.effects))
+
     station = state.bench.stations.get(command.station)
     waste = station is not None and station.spec.kind == "waste"
     # Labware in a waste has left the bench. So labware that is being discarded, or may have been, is not
@@ -250,8 +251,7 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     stands = state.bench.labware
     events: list[Event] = [LabwareRemoved(item, "", stands[item].station, why) for item in named]
     if count:
-        throws = functools.partial(_throws_into, waste=command.station)
-        awaited = _find_waiting(state, throws) if waste and found.full else ()
+        awaited = _find_waiting(state, throws_away) if waste and found.full else ()
         events.append(StationUnloaded(command.station, count, awaited))
     return [*withdraw_answered(state, events, command.by), *events]
 
@@ -274,14 +274,6 @@ def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, toda
         return False
     amount = sum_needed(step.effects, resource)
     return amount > level.level or find_first_expired(level, amount, today) is not None
-
-
-def _takes(step: PlanStep, stack: StationName) -> bool:
-    return any(what.stock == stack for what in list_carried(step.effects))
-
-
-def _throws_into(step: PlanStep, waste: StationName) -> bool:
-    return any(what.filled == waste for what in list_carried(step.effects))
 
 
 def _find_owner_alive(state: LabState, owner: Owner) -> str:

@@ -43,6 +43,7 @@ from labos.core.policy import Policy, PolicyApplied
 from labos.core.registry import Event
 from labos.core.runs import RunSubmitted
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.users import LABOS, ON_BEHALF, find_person
 
 
@@ -77,8 +78,7 @@ def _submit_rows(state: LabState, rows: tuple[SubmitRow | RefuseRow, ...]) -> It
 
 def _decide_next_row(state: LabState, row: SubmitRow | RefuseRow) -> Decision:
     decision = submit_row(state, row) if isinstance(row, SubmitRow) else refuse_row(state, row)
-    held = hold_for_approval(state, row, decision, LABOS)
-    return held if isinstance(held, Rejection) else check_recordable(held)
+    return check_recordable(hold_for_approval(state, row, decision, LABOS))
 
 
 def name_both_actors(command: Command, actor: str) -> Command:
@@ -124,7 +124,7 @@ def hold_for_approval(state: LabState, command: Command, decision: Decision, act
             request = _request_for_experiment(state, command, events, actor)
         case AmendCampaign():
             return _decide_amendment(state, command, events, actor)
-    return [*events, *([request] if request is not None else [])]
+    return [*events, *request]
 
 
 _SUBMISSIONS = (
@@ -168,8 +168,7 @@ def _hold_each(
     for event in decision:
         yield event
         if isinstance(event, RunSubmitted):
-            request = _request_for_run(state, next(left), [event], actor)
-            yield from () if request is None else (request,)
+            yield from _request_for_run(state, next(left), [event], actor)
 
 
 def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
@@ -184,9 +183,7 @@ def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
     )
 
 
-def _request_for_run(
-    state: LabState, command: SubmitRun, events: list[Event], actor: str
-) -> ApprovalRequested | None:
+def _request_for_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> list[Event]:
     event = next(event for event in events if isinstance(event, RunSubmitted))
     pins = {name: value for name, value in event.pins.items() if name != "request"}
     parts = {
@@ -202,7 +199,7 @@ def _request_for_run(
     return _request(state, event.run, "run", event.workflow, asked, actor, parts, [event.priority])
 
 
-def _request_for_campaign(state: LabState, command: SubmitCampaign, actor: str) -> ApprovalRequested | None:
+def _request_for_campaign(state: LabState, command: SubmitCampaign, actor: str) -> list[Event]:
     name = f"C{state.campaigns.named + 1}"
     demand = msgspec.structs.replace(command.demand, rows=command.rows)
     asked = Submission(command.user, command.workcell, demand, command.propose, command.terms)
@@ -216,7 +213,7 @@ def _list_table_parts(of: SubmitCampaign | Campaign, terms: Terms) -> dict[str, 
 
 def _request_for_experiment(
     state: LabState, command: StartExperiment, events: list[Event], actor: str
-) -> ApprovalRequested | None:
+) -> list[Event]:
     event = next(event for event in events if isinstance(event, ExperimentStarted))
     plan = command.closing
     demand = sum_demand([plan] if plan is not None else [])
@@ -236,13 +233,12 @@ def _decide_amendment(state: LabState, command: AmendCampaign, events: list[Even
         parts = {**waiting.parts, "terms": _make_digest(command.terms)}
         asked = Submission(*who, waiting.demand, terms=command.terms)
         again = _request(state, campaign.id, "campaign", name, asked, waiting.by, parts, why=waiting.why)
-        return [*events, *([again] if again is not None else [])]
+        return [*events, *again]
     if not allows_more(campaign.terms, command.terms):
         return events
     asked = Submission(*who, Demand(rows=campaign.rows), False, command.terms, campaign.terms)
     parts = _list_table_parts(campaign, command.terms)
-    request = _request(state, campaign.id, "amendment", name, asked, actor, parts)
-    return events if request is None else [request]
+    return _request(state, campaign.id, "amendment", name, asked, actor, parts) or events
 
 
 def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> list[Event]:
@@ -255,11 +251,10 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
     demand = Demand(dangers=dangers, rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
     parts = _list_table_parts(campaign, campaign.terms)
-    why = [why for why in list_reasons(state, asked, campaign.user, parts) if why.code == "dangerous"]
-    request = _request(
-        state, campaign.id, "campaign", campaign.name, asked, campaign.user, parts, why=tuple(why)
-    )
-    return events if request is None else [request]
+    reasons = list_reasons(state, asked, campaign.user, parts)
+    why = tuple(reason for reason in reasons if reason.code == "dangerous")
+    who, name = campaign.user, campaign.name
+    return _request(state, campaign.id, "campaign", name, asked, who, parts, why=why) or events
 
 
 def allows_more(old: Terms, new: Terms) -> bool:
@@ -288,31 +283,31 @@ def _request(
     parts: dict[str, str],
     also: Sequence[int] = (),
     why: tuple[Why, ...] | None = None,
-) -> ApprovalRequested | None:
-    """The event that makes a submission wait for an approval; None if it needs none. ``why`` are the reasons
+) -> list[Event]:
+    """The event that makes a submission wait for an approval; none if it needs none. ``why`` are the reasons
     if they are known already."""
     why = list_reasons(state, asked, actor, parts) if why is None else why
     if not why:
-        return None
+        return []
     past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)
     was = past.parts if past is not None else {}
     changed = sorted(
         part for part in {*parts, *was} if parts.get(part) != was.get(part) and part not in UNCOMPARED
     )
-    return ApprovalRequested(
+    request = make_from(
+        ApprovalRequested,
+        asked,
         subject=subject,
         kind=kind,
         name=name,
-        user=asked.user,
         by=actor,
         digest=digest(encode_canonical([subject, kind, name, asked.user, parts, also])),
         why=why,
         parts=parts,
-        demand=asked.demand,
         before=past.subject if past is not None else "",
         changed=tuple(changed) if past is not None else (),
-        terms=asked.terms,
     )
+    return [request]
 
 
 UNCOMPARED = ("plan", "choices", "experiment")

@@ -58,11 +58,8 @@ def _find_difference(state: LabState, command: StartTogether) -> str:
         if find_together(state, step) is None:
             return f"{step.module} does {step.action!r} for only one run at a time."
         wishes.add(find_wish(state, run, start.step))
-    return (
-        ""
-        if len(wishes) == 1 and None not in wishes
-        else "Steps with different arguments cannot be done together."
-    )
+    is_one = len(wishes) == 1 and None not in wishes
+    return "" if is_one else "Steps with different arguments cannot be done together."
 
 
 def find_wish(state: LabState, run: RunState, index: int) -> bytes | None:

@@ -182,9 +182,8 @@ def add_member(state: LabState, command: AddMember, group: Group) -> Decision:
 
 @decides_about(RemoveMember, _expect_group)
 def remove_member(state: LabState, command: RemoveMember, group: Group) -> Decision:
-    if state.shares.group_of.get(command.user) != command.group:
-        return []
-    return [MemberRemoved(command.group, command.user)]
+    is_member = state.shares.group_of.get(command.user) == command.group
+    return [MemberRemoved(command.group, command.user)] if is_member else []
 
 
 @decides(GrantRole)

@@ -22,13 +22,12 @@ from labos.core.decide.outcomes import list_effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
 from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
-from labos.core.labware import LabwareUncertain, StationObserved
+from labos.core.labware import GONE, LabwareUncertain, StationObserved
 from labos.core.registry import Event
 from labos.core.runs import RunStatus
 from labos.core.state import LabState
+from labos.core.structs import make_from
 from labos.core.watching import list_end_stations
-
-GONE = StationName("")
 
 Verdict = Literal["done", "not_done", "lost", "unclear"]
 
@@ -157,9 +156,8 @@ def _refute(
         if policy is not None and policy.do == "ask":
             yield from doubt(state, action, why, maybe)
             return
-    ids = (action.id, action.run, action.step, action.module, action.attempt)
     narrow = {event.labware: event for event in maybe}
-    yield ActionFailed(*ids, why, done, "operational")
+    yield make_from(ActionFailed, action, action=action.id, error=why, effects=done, kind="operational")
     for event in list_effect_events(state, action, done, why):
         yield narrow.get(event.labware, event) if isinstance(event, LabwareUncertain) else event
 

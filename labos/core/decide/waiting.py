@@ -19,10 +19,7 @@ from labos.core.actions import (
     ActionUnknown,
 )
 from labos.core.ids import local
-from labos.core.interventions import (
-    InterventionRequested,
-    InterventionResolved,
-)
+from labos.core.interventions import InterventionRequested, InterventionResolved
 from labos.core.modules import NodeLeft, NodeStateChanged
 from labos.core.registry import Event
 from labos.core.state import LabState
@@ -50,8 +47,7 @@ def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateC
         return
     for question in state.interventions.list_about(event.module):
         if isinstance(question.topic, DeviceWaits):
-            why = _GOES_ON.get(type(event), "its action has ended")
-            yield question.withdraw(why)
+            yield question.withdraw(_GOES_ON.get(type(event), "its action has ended"))
 
 
 _GOES_ON: dict[type[Event], str] = {
@@ -69,5 +65,4 @@ def withdraw_action_questions(state: LabState, event: ActionEvent) -> Iterator[E
             done = "done" if isinstance(event, ActionSucceeded) else "not_done"
             yield InterventionResolved(question.id, done, question.module)
         elif isinstance(question.topic, UnknownAction) or isinstance(event, ActionRejected | ActionReported):
-            why = "the node has answered"
-            yield question.withdraw(why)
+            yield question.withdraw("the node has answered")

@@ -6,9 +6,7 @@ from collections.abc import Iterator
 
 from labos.core.decide._base import Rejection
 from labos.core.ids import ExperimentId, RunId
-from labos.core.interventions import (
-    Intervention,
-)
+from labos.core.interventions import Intervention
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
 from labos.core.runs import Anchor, EndTimes, RunEnd, RunPaused, RunResumed, RunStarted, RunState

@@ -13,11 +13,7 @@ from labos.core.actions import Action
 from labos.core.decide._base import Decision, InnerCommand, decides
 from labos.core.effects import AnyEffect, Move, Needs, Take
 from labos.core.ids import ActionId, InterventionId, LabwareId, local
-from labos.core.interventions import (
-    Intervention,
-    InterventionOverdue,
-    InterventionRequested,
-)
+from labos.core.interventions import Intervention, InterventionOverdue, InterventionRequested
 from labos.core.model import PlanStep
 from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState

@@ -1,45 +1,30 @@
 """Reasons why a step does not start: a type for each, with its fields, its sentence and its remedy.
 
-``WAKES`` are the kinds of keys whose change may end the wait (``labos.core.waits``). ``URGENCY`` says whether
-a person has to end it. A reason's ``code`` is its name in tables, metrics and answers.
+``WAKES`` are the kinds of keys whose change may end the wait (``labos.core.waits``). A reason's ``code`` is
+its name in tables, metrics and answers.
 """
 
 from __future__ import annotations
 
-import re
-from enum import StrEnum
 from typing import Any, ClassVar, Literal
 
 import msgspec
 
 from labos.core.ids import local, split_key
-
-
-class Urgency(StrEnum):
-    """Whether a wait ends by itself, or a person or device has to act."""
-
-    PASSES = "it passes by itself"
-    PERSON = "a person has to act"
-
-
-PASSES, PERSON = Urgency.PASSES, Urgency.PERSON
+from labos.core.texts import make_code
 
 Key = Literal["run", "module", "station", "zone", "access", "quota", "cell", "near", "window", "booking"]
 """The kinds of keys whose change may end a wait."""
 
 
-def make_code(name: str) -> str:
-    """The code of a reason's type: ``ModuleBusy`` is ``module_busy``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
-
-
 class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
-    """Why a step does not start. ``SENTENCE`` and ``REMEDY`` contain names of fields."""
+    """Why a step does not start. ``SENTENCE`` and ``REMEDY`` contain names of fields. ``PASSES``: the wait
+    ends by itself."""
 
     SENTENCE: ClassVar[str]
     REMEDY: ClassVar[str] = ""
     WAKES: ClassVar[tuple[Key, ...]] = ()
-    URGENCY: ClassVar[Urgency] = PASSES
+    PASSES: ClassVar[bool] = True
 
     @property
     def code(self) -> str:
@@ -66,6 +51,12 @@ class Reason(msgspec.Struct, frozen=True, tag_field="code", tag=make_code):
     def _in_words(self) -> dict[str, Any]:
         values = msgspec.structs.asdict(self)
         return {name: in_words(v) if isinstance(v, str) else v for name, v in values.items()}
+
+
+class NeedsPerson(Reason, frozen=True):
+    """A reason that ends only when a person acts, or a device comes back."""
+
+    PASSES = False
 
 
 def in_words(name: str) -> str:

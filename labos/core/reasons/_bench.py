@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labos.core.reasons._base import PERSON, Reason
+from labos.core.reasons._base import NeedsPerson, Reason
 
 
 class ReachedInto(Reason, frozen=True):
@@ -19,43 +19,39 @@ class Requires(Reason, frozen=True):
     value: str
 
 
-class Unfit(Reason, frozen=True):
+class Unfit(NeedsPerson, frozen=True):
     SENTENCE = "{labware} is not as the step needs it: {variable} = {value}"
     REMEDY = "Let a run of its owner change that, or remove it and report that: labos unload"
     WAKES = ("station",)
-    URGENCY = PERSON
     labware: str
     variable: str
     value: str
 
 
-class UsedUp(Reason, frozen=True):
+class UsedUp(NeedsPerson, frozen=True):
     SENTENCE = "{module} has too little {resource} left"
     REMEDY = "Refill it and report that: labos replenish {module} {resource} --lot LOT"
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
     resource: str
 
 
-class Expired(Reason, frozen=True):
+class Expired(NeedsPerson, frozen=True):
     SENTENCE = "{resource} of {module} has expired (lot {lot}, on {until})"
     REMEDY = (
         "Remove the old pack and report the new one: labos replenish {module} {resource} --lot LOT --instead"
     )
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
     resource: str
     lot: str
     until: str
 
 
-class StackEmpty(Reason, frozen=True):
+class StackEmpty(NeedsPerson, frozen=True):
     SENTENCE = "the stack {place} is empty"
     REMEDY = "Fill it and report that: labos load {place} --type TYPE --count N --lot LOT"
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
 
 
@@ -67,19 +63,17 @@ class Buried(Reason, frozen=True):
     labware: str
 
 
-class Uncertain(Reason, frozen=True):
+class Uncertain(NeedsPerson, frozen=True):
     SENTENCE = "it is not known what stands at {place}"
     REMEDY = "Look there and answer the open question: labos resolve"
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
 
 
-class Lost(Reason, frozen=True):
+class Lost(NeedsPerson, frozen=True):
     SENTENCE = "it is not known where {labware} is"
     REMEDY = "Look for it and answer the open question: labos resolve"
     WAKES = ("station",)
-    URGENCY = PERSON
     labware: str
 
 
@@ -98,29 +92,26 @@ class InUse(Reason, frozen=True):
     owner: str
 
 
-class NotYours(Reason, frozen=True):
+class NotYours(NeedsPerson, frozen=True):
     SENTENCE = "{labware} at {place} belongs to {owner}"
     REMEDY = "Let a run of its owner move it away."
     WAKES = ("station",)
-    URGENCY = PERSON
     labware: str
     place: str
     owner: str
 
 
-class Undeclared(Reason, frozen=True):
+class Undeclared(NeedsPerson, frozen=True):
     SENTENCE = "it was never reported what stands at {place}"
     REMEDY = "Report what stands there: labos bench declare {place}=TYPE, or {place}= if nothing does"
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
 
 
-class NothingThere(Reason, frozen=True):
+class NothingThere(NeedsPerson, frozen=True):
     SENTENCE = "nothing stands at {place}"
     REMEDY = "Put some there and report that: labos place {place} TYPE"
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
 
 
@@ -138,31 +129,28 @@ class NoAccess(Reason, frozen=True):
     value: str
 
 
-class NotAccepted(Reason, frozen=True):
+class NotAccepted(NeedsPerson, frozen=True):
     SENTENCE = "{place} does not accept {labware_type}"
     REMEDY = "Put labware there that it accepts, or change `accepts:` in the workcell file."
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
     labware_type: str
 
 
-class WrongWay(Reason, frozen=True):
+class WrongWay(NeedsPerson, frozen=True):
     SENTENCE = "{labware} would lie turned by {turned} degrees at {place}, which takes it turned by {wanted}"
     REMEDY = "Use another grip in the workflow (narrow here, wide there), or turn it by hand."
     WAKES = ("station",)
-    URGENCY = PERSON
     labware: str
     place: str
     turned: str
     wanted: str
 
 
-class NoGrip(Reason, frozen=True):
+class NoGrip(NeedsPerson, frozen=True):
     SENTENCE = "{module} cannot hold {labware_type} {grip} at {place}, only {known}"
     REMEDY = "Use another grip in the workflow, or teach the arm and add it under `reach:`."
     WAKES = ("station",)
-    URGENCY = PERSON
     module: str
     place: str
     labware_type: str
@@ -170,11 +158,10 @@ class NoGrip(Reason, frozen=True):
     known: str
 
 
-class WasteFull(Reason, frozen=True):
+class WasteFull(NeedsPerson, frozen=True):
     SENTENCE = "the waste {place} is full"
     REMEDY = "Empty it and report that: labos unload {place} --all"
     WAKES = ("station",)
-    URGENCY = PERSON
     place: str
 
 

@@ -3,39 +3,35 @@
 from __future__ import annotations
 
 from labos.core.ids import ModuleName, local, workcell_of
-from labos.core.reasons._base import PERSON, Reason
+from labos.core.reasons._base import NeedsPerson, Reason
 
 
-class NoModule(Reason, frozen=True):
+class NoModule(NeedsPerson, frozen=True):
     SENTENCE = "there is no module {module}"
     REMEDY = "Set up a workcell that has it: labos up WORKCELL"
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
 
 
-class Access(Reason, frozen=True):
+class Access(NeedsPerson, frozen=True):
     SENTENCE = "{by} reaches into the workcell {workcell}"
     REMEDY = "It continues when everybody has ended the access: labos access {workcell} --done"
     WAKES = ("access",)
-    URGENCY = PERSON
     workcell: str
     by: str
 
 
-class OutOfService(Reason, frozen=True):
+class OutOfService(NeedsPerson, frozen=True):
     SENTENCE = "{module} is out of service ({why})"
     REMEDY = "Check it, then answer the open question (labos resolve) or: labos in-service {module}"
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
     why: str
 
 
-class ModuleDown(Reason, frozen=True):
+class ModuleDown(NeedsPerson, frozen=True):
     SENTENCE = "{module} is {status} ({error})"
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
     status: str
     error: str = ""
@@ -48,11 +44,10 @@ class ModuleDown(Reason, frozen=True):
         return f"Check it, then: labos reset {name}"
 
 
-class Unwatched(Reason, frozen=True):
+class Unwatched(NeedsPerson, frozen=True):
     SENTENCE = "{observer}, which observes {place} after every motion, is {how}"
     REMEDY = "Bring {observer} back, or write `verify: on_doubt` for {place} in the workcell file."
     WAKES = ("module",)
-    URGENCY = PERSON
     place: str
     observer: str
     how: str
@@ -64,11 +59,10 @@ class ModuleBusy(Reason, frozen=True):
     module: str
 
 
-class Unsettled(Reason, frozen=True):
+class Unsettled(NeedsPerson, frozen=True):
     SENTENCE = "it is not known how the last action of {module} ended"
     REMEDY = "Look there and answer the open question: labos resolve {question}"
     WAKES = ("module",)
-    URGENCY = PERSON
     module: str
     question: str
 
@@ -96,11 +90,10 @@ class ZoneBusy(Reason, frozen=True):
     zone: str
 
 
-class ZoneBarred(Reason, frozen=True):
+class ZoneBarred(NeedsPerson, frozen=True):
     SENTENCE = "{module} has stopped in the zone {zone}"
     REMEDY = "Check it, then: labos reset {module}"
     WAKES = ("zone", "module")
-    URGENCY = PERSON
     module: str
     zone: str
 
@@ -130,11 +123,10 @@ class BookedSoon(Reason, frozen=True):
     step: str
 
 
-class NoGap(Reason, frozen=True):
+class NoGap(NeedsPerson, frozen=True):
     SENTENCE = "the bookings of {module} ({bookings}) leave no free time of {length} in the next {days} days"
     REMEDY = "Change or cancel one of them: labos bookings {module}"
     WAKES = ("booking",)
-    URGENCY = PERSON
     module: str
     length: str
     days: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from labos.core.ids import local, split_key
-from labos.core.reasons._base import PERSON, Reason, in_words
+from labos.core.reasons._base import NeedsPerson, Reason, in_words
 
 
 class Reserved(Reason, frozen=True):
@@ -110,10 +110,9 @@ class ClockLater(Reason, frozen=True):
     at: str
 
 
-class BetterHere(Reason, frozen=True):
+class BetterHere(NeedsPerson, frozen=True):
     SENTENCE = "{first} is unavailable, and after {step!r} this run would block others"
     WAKES = ("cell", "near", "module")
-    URGENCY = PERSON
     step: str
     dead: tuple[str, ...]
 

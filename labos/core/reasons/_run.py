@@ -2,49 +2,44 @@
 
 from __future__ import annotations
 
-from labos.core.reasons._base import PERSON, Reason
+from labos.core.reasons._base import NeedsPerson, Reason
 
 
-class Paused(Reason, frozen=True):
+class Paused(NeedsPerson, frozen=True):
     SENTENCE = "run {run} is paused"
     REMEDY = "Continue it: labos resume {run}"
     WAKES = ("run",)
-    URGENCY = PERSON
     run: str
 
 
-class Unapproved(Reason, frozen=True):
+class Unapproved(NeedsPerson, frozen=True):
     SENTENCE = "it has a dangerous step, and nobody except {user} has checked it yet"
     REMEDY = "Ask another operator to check it and to answer the question: labos resolve"
     WAKES = ("run",)
-    URGENCY = PERSON
     user: str
 
 
-class NotApproved(Reason, frozen=True):
+class NotApproved(NeedsPerson, frozen=True):
     SENTENCE = "run {run} waits for approval, because {why}"
     REMEDY = "An operator checks it (labos approvals {run}) and approves it: labos approve {run}"
     WAKES = ("run",)
-    URGENCY = PERSON
     run: str
     why: str
 
 
-class Halted(Reason, frozen=True):
+class Halted(NeedsPerson, frozen=True):
     SENTENCE = "{by} has paused {target}"
     REMEDY = "Continue it: labos resume {target}"
-    URGENCY = PERSON
     target: str
     by: str
 
 
-class LogShorter(Reason, frozen=True):
+class LogShorter(NeedsPerson, frozen=True):
     SENTENCE = (
         "this log ends at {ended} and {evidence} knows more: nothing starts until the whole bench "
         "has been checked"
     )
     REMEDY = "Check the whole bench and report what stands where: labos bench round"
-    URGENCY = PERSON
     evidence: str
     ended: str
 
@@ -76,10 +71,9 @@ class RetryLater(Reason, frozen=True):
     step: str
 
 
-class Asked(Reason, frozen=True):
+class Asked(NeedsPerson, frozen=True):
     SENTENCE = "step {step!r} failed, and a person has to decide how to continue"
     REMEDY = "Answer the open question: labos resolve {question}"
-    URGENCY = PERSON
     step: str
     question: str
 
@@ -89,18 +83,16 @@ class TooEarly(Reason, frozen=True):
     step: str
 
 
-class Outcome(Reason, frozen=True):
+class Outcome(NeedsPerson, frozen=True):
     SENTENCE = "it is not known how step {step!r} ended"
     REMEDY = "Look there and answer the open question: labos resolve"
     WAKES = ("run",)
-    URGENCY = PERSON
     step: str
 
 
-class Quota(Reason, frozen=True):
+class Quota(NeedsPerson, frozen=True):
     SENTENCE = "the quota of {whose} is {limit}"
     WAKES = ("quota",)
-    URGENCY = PERSON
     whose: str
     limit: str
 

@@ -11,16 +11,15 @@ from labos.core.decide.users import EraseUser
 from labos.core.recurrence import DAY_NS
 from labos.core.users import LABOS, group_subject, user_subject
 from labos.errors import BadInput, Forbidden, NotSignedIn
-from labos.http import provider_sign_in, signing
+from labos.http import signing
 from labos.http.identity import SIGN_IN
-from labos.http.limits import Name
+from labos.http.limits import Name, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.providing import find_user_meant
 from labos.http.queries import OfUser
 from labos.http.signing import (
     answer_secret,
-    expect_admin,
     expect_self_or_admin,
     expect_users,
     give_cookie,
@@ -32,13 +31,11 @@ from labos.services.accounts import allows
 
 
 class OfToken(msgspec.Struct, frozen=True):
-    token: Annotated[
-        Name, msgspec.Meta(description="a token's id, which is not a secret", examples=["3f9a01c4"])
-    ]
+    token: Annotated[Name, says("a token's id, which is not a secret", "3f9a01c4")]
 
 
 class TokensQuery(msgspec.Struct, frozen=True):
-    user: Annotated[Name, msgspec.Meta(description="the owner; only admins may name another user")] = ""
+    user: Annotated[Name, says("the owner; only admins may name another user")] = ""
 
 
 _TOKEN = {
@@ -84,7 +81,7 @@ async def sign_in(call: Call, body: signing.SignIn) -> Response:
 @Operation(
     route="POST /login/provider",
     client=Method("begin_sign_in"),
-    answer=provider_sign_in.ProviderSignIn,
+    answer=signing.ProviderSignIn,
     summary="Begin to sign in with an identity provider: get the address of its page",
     needs="nobody",
     secret=True,
@@ -99,26 +96,26 @@ async def sign_in(call: Call, body: signing.SignIn) -> Response:
         "wait_s": 0.0,
     },
 )
-async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Response:
+async def begin_sign_in(call: Call, body: signing.BeginSignIn) -> Response:
     """For a command line. The user opens the address in a browser. On the same computer, the browser returns
     to a local port. For a `device` without a browser, the user enters the code in a browser elsewhere. The
     sign-in expires after ten minutes."""
-    way = provider_sign_in.find_way(call)
+    way = signing.find_way(call)
     if body.device:
         begun, shown = await way.begin_device()
-        found = provider_sign_in.ProviderSignIn(
+        found = signing.ProviderSignIn(
             begun.address, begun.state, begun.browser, shown.user_code, max(shown.interval, 1.0)
         )
     else:
         begun = await way.begin(body.port)
-        found = provider_sign_in.ProviderSignIn(begun.address, begun.state, begun.browser)
+        found = signing.ProviderSignIn(begun.address, begun.state, begun.browser)
     return answer_secret(found)
 
 
 @Operation(
     route="POST /login/provider/finish",
     client=Method("finish_sign_in", "state, key"),
-    answer=provider_sign_in.FinishedSignIn,
+    answer=signing.FinishedSignIn,
     summary="Finish signing in with an identity provider: get a token",
     needs="nobody",
     secret=True,
@@ -127,24 +124,24 @@ async def begin_sign_in(call: Call, body: provider_sign_in.BeginSignIn) -> Respo
     example={"state": "q4", "key": "b7", "code": "x9", "iss": "https://login.example.org"},
     example_answer={"user": "ada", "until": 1767268800000000000, "token": "", "wait_s": 5.0},
 )
-async def finish_sign_in(call: Call, body: provider_sign_in.FinishSignIn) -> Response:
+async def finish_sign_in(call: Call, body: signing.FinishSignIn) -> Response:
     """The request holds the parameters with which the browser returned from the provider. For a `device`
     there are none: repeat the request every `wait_s` seconds until there is a token."""
     from labos.services.accounts.command_line import RetryAfter  # few labs have a provider
 
-    way, accounts = provider_sign_in.find_way(call), call.api.gate.accounts
+    way, accounts = signing.find_way(call), call.api.gate.accounts
     sent = {"state": body.state, "code": body.code, "iss": body.iss, "error": body.error}
     try:
         claims = await way.finish({name: text for name, text in sent.items() if text}, body.key)
         if isinstance(claims, RetryAfter):
-            return answer_secret(provider_sign_in.FinishedSignIn(wait_s=claims.seconds))
+            return answer_secret(signing.FinishedSignIn(wait_s=claims.seconds))
         user = await find_user_meant(call.api, way.provider, claims)
     except NotSignedIn:
         accounts.count_try("wrong")
         raise
     accounts.count_try("right")
     secret, token = await accounts.make_token(user, body.label, body.scope, min(body.days, way.most_days))
-    return answer_secret(provider_sign_in.FinishedSignIn(user, token.expires_at, secret))
+    return answer_secret(signing.FinishedSignIn(user, token.expires_at, secret))
 
 
 @Operation(
@@ -170,11 +167,10 @@ async def sign_out(call: Call) -> Response:
     return answer
 
 
-@Operation(
+@read(
     route="GET /whoami",
     client=Method("identity"),
     summary="Show the user who asks, and the user's rights",
-    needs="viewer",
 )
 async def get_identity(call: Call) -> signing.Identity:
     who, state = call.who, call.kernel.state
@@ -200,11 +196,10 @@ async def get_identity(call: Call) -> signing.Identity:
     )
 
 
-@Operation(
+@read(
     route="GET /tokens",
     client=Method("tokens", "user", take="tokens"),
     summary="Tokens of programs",
-    needs="viewer",
     example_answer={"tokens": [_TOKEN]},
 )
 async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
@@ -266,11 +261,10 @@ async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
     return signing.UserReference(token.user)
 
 
-@Operation(
+@read(
     route="GET /people",
     client=Method("people", take="people"),
     summary="List the names of users",
-    needs="viewer",
     example_answer={"people": [{"user": "ada", "name": "Ada Byron", "mail": ""}]},
 )
 async def list_people(call: Call) -> signing.People:
@@ -365,7 +359,8 @@ async def erase_person(call: Call, path: OfUser) -> signing.UserReference:
 )
 async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity) -> signing.UserReference:
     """The account with this `subject` at the identity provider belongs to this user."""
-    expect_admin(call)
+    if not is_admin(call):
+        raise Forbidden("Only admins of the lab may do that.", remedy="Ask one of them.")
     expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
     return signing.UserReference(path.user)

@@ -17,11 +17,11 @@ from labos.core.policy import Policy
 from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.errors import BadInput, NotFound
-from labos.http.bodies import Amendment, Amounts, Limit
-from labos.http.campaigns import ConsumableEstimate, amend_terms, find_left
+from labos.http.bodies import Amendment, Amounts, Asked, Limit
+from labos.http.campaigns import ConsumableEstimate, amend_terms, estimate_consumables
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.planning.lab_forecast import LabForecast
@@ -30,10 +30,7 @@ from labos.spec.policy import parse_policy
 
 
 class OfProposal(msgspec.Struct, frozen=True):
-    subject: Annotated[
-        Name,
-        msgspec.Meta(description="the run, campaign or experiment that waits", examples=["R1"]),
-    ]
+    subject: Annotated[Name, says("the run, campaign or experiment that waits", "R1")]
 
 
 class ProposalView(msgspec.Struct, frozen=True):
@@ -124,8 +121,7 @@ class ApprovalTerms(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     ] = False
 
 
-class ApprovalRefusal(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    by: Asker = ""
+class ApprovalRefusal(Asked, kw_only=True):
     comment: Annotated[Line, says("a reason or comment for the log")] = ""
 
 
@@ -144,11 +140,10 @@ class PolicyReference(msgspec.Struct, frozen=True):
 _POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
 
 
-@Operation(
+@read(
     route="GET /approvals",
     client=Method("_list_approvals"),
     summary="List the submissions that wait for an approval",
-    needs="viewer",
 )
 def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     """A page of them, the oldest first. While there are `more`, ask for the next page with `after` = the last
@@ -161,11 +156,10 @@ def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:
     return Proposals(found, begin + query.limit < len(names))
 
 
-@Operation(
+@read(
     route="GET /approvals/{subject}",
     client=Method("approval_of"),
     summary="Show a submission that waits for an approval, and how it differs from the last approved one",
-    needs="viewer",
 )
 async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     state = call.kernel.state
@@ -177,11 +171,10 @@ async def get_approval(call: Call, path: OfProposal) -> ProposalDetail:
     return ProposalDetail(view, changed)
 
 
-@Operation(
+@read(
     route="GET /approvals/{subject}/forecast",
     client=Method("approval_forecast", timeout_s=FORECAST_S),
     summary="Forecast a submission that waits for an approval",
-    needs="viewer",
     problems=("refused",),
 )
 async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
@@ -195,21 +188,16 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
             remedy="Each of its runs waits for an approval. Check those.",
         )
     (cell,) = cells_of(call.kernel.state, proposal.subject)
-    needed = proposal.demand.consumables
-    consumables = {
-        kind: ConsumableEstimate(amount, find_left(call.service, cell, kind))
-        for kind, amount in needed.items()
-    }
+    consumables = estimate_consumables(call.service, cell, proposal.demand.consumables)
     forecast = await call.service.forecasts.forecast(approved=proposal.subject)
     return ProposalForecast(hide_others(forecast, call), consumables)
 
 
-@Operation(
+@change(
     route="POST /approvals/{subject}/approve",
     client=Method("approve", "subject, by, digest", take="digest", repeat=True),
     summary="Approve a submission, as it is or with changes",
     needs="operator",
-    problems=("refused",),
     example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -236,12 +224,11 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
-@Operation(
+@change(
     route="POST /approvals/{subject}/refuse",
     client=Method("refuse", take="digest", repeat=True),
     summary="Refuse a submission",
     needs="operator",
-    problems=("refused",),
     example={"by": "olga", "comment": "too many plates"},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -253,11 +240,10 @@ async def refuse_proposal(call: Call, path: OfProposal, body: ApprovalRefusal) -
     return ProposalAnswer(proposal.subject, digest)
 
 
-@Operation(
+@read(
     route="GET /policy",
     client=Method("policy"),
     summary="Show the policy: which submissions need an approval, and the highest priority",
-    needs="viewer",
 )
 def get_policy(call: Call) -> PolicyView:
     approvals = call.kernel.state.approvals

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import msgspec
 from starlette.responses import Response
 
-from labos.core.campaigns import Campaign
+from labos.core.campaigns import Campaign, Terms
 from labos.core.decide.campaigns import (
     AmendCampaign,
     ArchiveCampaign,
@@ -16,14 +17,6 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.ids import CampaignId
 from labos.errors import NotFound
 from labos.http import wire
-from labos.http.answers import (
-    CampaignReference,
-    Campaigns,
-    CampaignSubmission,
-    CampaignTerms,
-    Shares,
-    SharesReference,
-)
 from labos.http.bodies import (
     Amendment,
     Archiving,
@@ -34,15 +27,58 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, amend_terms, make_view, submit_campaign
+from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
 from labos.http.cloning import clone_campaign
-from labos.http.limits import LARGEST_BODY
+from labos.http.limits import SMALL_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, change, list_operations, read, submit
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
-from labos.services.shares import make_ledger
+from labos.services.shares import ShareAccount, make_ledger
 from labos.spec.shares import parse_shares
+
+
+class CampaignSubmission(msgspec.Struct, frozen=True):
+    """The id of the campaign (empty if it was only checked), and the work and material that all its rows
+    need: the number of ``rows`` and of those that were ``checked``, ``module_time_s`` in total and by
+    ``modules``, the least time that the ``busiest`` module needs (``bounds_s``), and the amount of each of
+    the ``consumables`` that is ``needed`` and ``left``. ``approval`` is the reason if it waits for an
+    approval."""
+
+    campaign: str
+    estimate: Estimate
+    approval: str = ""
+
+
+class CampaignReference(msgspec.Struct, frozen=True):
+    campaign: str
+
+
+class CampaignTerms(msgspec.Struct, frozen=True):
+    """The terms that are now valid. ``approval`` is the reason if a change waits for an approval."""
+
+    campaign: str
+    terms: Terms
+    approval: str = ""
+
+
+class Campaigns(msgspec.Struct, frozen=True):
+    campaigns: list[CampaignView]
+
+
+class Shares(msgspec.Struct, frozen=True):
+    """An account for each user who is in the shares file or has used the lab: the ``wanted`` share, the share
+    that the user ``had``, ``lab_hours`` and ``consumables`` of the last seven days, and the ``quota``.
+    """
+
+    accounts: list[ShareAccount]
+
+
+class SharesReference(msgspec.Struct, frozen=True):
+    """The SHA-256 of the file."""
+
+    digest: str
+
 
 _WORKFLOW = (
     "labos: 1\nname: seal\nsteps:\n"
@@ -54,25 +90,22 @@ _CAMPAIGN = (
 _SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
 
 
-@Operation(
+@read(
     route="GET /campaigns",
     client=Method("campaigns", take="campaigns"),
     summary="List the campaigns that have not been completed",
-    needs="viewer",
 )
 def list_campaigns(call: Call) -> Campaigns:
     state = call.kernel.state
     return Campaigns([make_view(state, c) for c in state.campaigns.open.values() if c.id not in call.hidden])
 
 
-@Operation(
+@submit(
     route="POST /campaigns",
     client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
     summary="Check a campaign and submit it",
-    needs="submitter",
     status=201,
     other_statuses={200: "It was only checked (`dry_run`)"},
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={
         "text": _CAMPAIGN,
@@ -81,7 +114,6 @@ def list_campaigns(call: Call) -> Campaigns:
         "dry_run": True,
     },
     answer=CampaignSubmission,
-    largest_body=LARGEST_BODY,
 )
 async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     """The campaign is checked row by row. If a row cannot be carried out, nothing is submitted, and `details`
@@ -91,22 +123,20 @@ async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
     return wire.answer(submission, 200 if body.dry_run else 201)
 
 
-@Operation(
+@read(
     route="GET /campaigns/{campaign}",
     client=Method("campaign"),
     summary="Show the progress and the terms of a campaign that has not been completed",
-    needs="viewer",
 )
 def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     return make_view(call.kernel.state, _open_campaign(call, path))
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/pause",
     client=Method("pause_campaign", take=None, repeat=True),
     summary="Pause a campaign: no further row is submitted",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "lunch"},
     example_answer={"campaign": "C1"},
 )
@@ -117,12 +147,11 @@ async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> C
     return CampaignReference(name)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/resume",
     client=Method("resume_campaign", take=None, repeat=True),
     summary="Resume a paused campaign",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"campaign": "C1"},
 )
@@ -132,12 +161,11 @@ async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignRef
     return CampaignReference(name)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/cancel",
     client=Method("cancel_campaign", take=None, repeat=True),
     summary="Cancel a campaign",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "wrong plates"},
     example_answer={"campaign": "C1"},
 )
@@ -165,17 +193,16 @@ async def amend_campaign(call: Call, path: OfCampaign, body: Amendment) -> Campa
     return CampaignTerms(campaign.id, campaign.terms, describe_waiting(call.kernel.state, campaign.id))
 
 
-@Operation(
+@submit(
     route="POST /campaigns/{campaign}/clone",
     client=Method("_clone_a_campaign", key="given", timeout_s=900.0),
     summary="Submit a copy of a campaign",
-    needs="submitter",
     status=201,
     other_statuses={200: "It was only checked (`dry_run`)"},
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={"by": "ada", "name": "sealing times, again", "deadline": "36h", "dry_run": True},
     answer=CampaignSubmission,
+    largest_body=SMALL_BODY,
 )
 async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Response:
     """The copy has the same rows and the same workflow, and is checked like a new campaign. It belongs to the
@@ -203,11 +230,10 @@ async def archive_campaign(call: Call, path: OfCampaign, body: Archiving) -> Cam
     return CampaignReference(path.campaign)
 
 
-@Operation(
+@read(
     route="GET /shares",
     client=Method("shares", take="accounts"),
     summary="Show each user's share of the lab, and the use so far",
-    needs="viewer",
 )
 def list_shares(call: Call) -> Shares:
     return Shares(make_ledger(call.kernel.state, call.kernel.clock.now_ns()))

@@ -11,7 +11,7 @@ from labos.core.structs import make_from
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, list_operations, read
 from labos.http.queries import Several
 
 
@@ -46,11 +46,10 @@ class FindQuery(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     )
 
 
-@Operation(
+@read(
     route="GET /find",
     client=Method("find", "words", timeout_s=90.0),
     summary="Search experiments, runs, samples, files and results by words",
-    needs="viewer",
     problems=("refused",),
 )
 async def find_entries(call: Call, query: FindQuery) -> SearchResult:

@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import msgspec
 
-from labos.core.decide.composites import SubmitWithLabware
-from labos.core.decide.runs import SubmitRun
 from labos.core.lengths import Drift, find_drifts
-from labos.core.structs import make_from
-from labos.core.users import find_person
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
-from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
-from labos.http.placing import make_loads
+from labos.http.operation import Call, list_operations, read, submit
 from labos.planning.lab_forecast import LabForecast
-from labos.services.times import parse_due
 from labos.spec.findings import Finding
 
 
@@ -51,11 +44,10 @@ FORECAST_S = 180.0
 """How many seconds the lab may take for a forecast."""
 
 
-@Operation(
+@read(
     route="GET /forecast",
     client=Method("forecast", timeout_s=FORECAST_S),
     summary="Forecast when runs start and end, and when a person is needed",
-    needs="viewer",
     problems=("refused",),
 )
 async def get_forecast(call: Call) -> Forecast:
@@ -67,49 +59,31 @@ async def get_forecast(call: Call) -> Forecast:
     return Forecast(hide_others(forecast, call), find_drifts(state.lengths, state.lab.pace))
 
 
-@Operation(
+@submit(
     route="POST /runs/forecast",
     client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
     summary="Forecast when a run would start and end, without submitting it",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-    largest_body=LARGEST_BODY,
 )
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
     service = call.service
     service.expect_role(body.user, "submitter")  # before anything is planned
-    workcell = await service.find_workcell_for(body.workflow, body.workcell)
-    loads = make_loads(service, body.place, workcell, body.user)
-    compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
-    run = make_from(
-        SubmitRun,
-        body,
-        plan=compiled.plan,
-        others=compiled.others,
-        user=find_person(body.user),
-        propose=False,
-        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
-    )
-    command = SubmitWithLabware(run, tuple(loads)) if loads else run
-    forecast = await service.forecasts.forecast(command, body.user)
-    return RunForecast(hide_others(forecast, call), compiled.findings)
+    planned = await service.plan_run(body, propose=False)
+    forecast = await service.forecasts.forecast(planned.command, body.user)
+    return RunForecast(hide_others(forecast, call), planned.findings)
 
 
-@Operation(
+@submit(
     route="POST /campaigns/forecast",
     client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
     summary="Forecast a campaign and its needs, without submitting it",
     tag="campaigns",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={
         "text": _CAMPAIGN,
         "workflow": {"text": _TIMED, "name": "seal.yaml"},
         "user": "ada",
     },
-    largest_body=LARGEST_BODY,
 )
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """The campaign is checked row by row. Nothing is submitted or stored. It counts as approved."""

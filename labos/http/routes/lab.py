@@ -2,71 +2,100 @@
 
 from __future__ import annotations
 
+import msgspec
 from starlette.responses import Response
 
 from labos.core.modules import StopReported
 from labos.core.registry import Event
+from labos.core.structs import make_from
 from labos.http import wire
-from labos.http.answers import Health, LogCheckView, NodeAnswers
-from labos.http.asking import ask_nodes
+from labos.http.asking import NodeAnswer, ask_nodes
 from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, list_operations, read
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
 from labos.services.inventory import Inventory, count_inventory
 from labos.services.times import iso_time
 
+
+class LogCheckView(msgspec.Struct, frozen=True):
+    """The check of the whole log in the background: how many records are ``checked`` of how many, whether it
+    is ``done``, and the ``damage`` that it found."""
+
+    checked: int
+    of: int
+    done: bool
+    damage: str
+
+
+class Health(msgspec.Struct, frozen=True):
+    """``status`` is ``ok`` or ``failed``. ``position`` is the position of the last event on disk.
+    ``suspended`` is the reason why nothing starts (a fault in planning; empty: planning works).
+    ``broken_drivers`` lists drivers that cannot be used, each with the reason."""
+
+    status: str
+    lab: str
+    name: str
+    epoch: int
+    position: int
+    suspended: str
+    simulated: bool
+    pace: float
+    broken_drivers: dict[str, str]
+    log_check: LogCheckView | None
+
+
+class NodeAnswers(msgspec.Struct, frozen=True):
+    modules: list[NodeAnswer]
+
+
 _NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
 _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
 _CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
 
 
-@Operation(
+@read(
     route="GET /health",
     client=Method("health"),
     at_kernel=True,
     summary="Show whether the kernel works",
-    needs="viewer",
 )
 async def get_health(call: Call) -> Health:
     """Probes can use `/health`, which answers `{"status": …}` and needs no user."""
     kernel, parts = call.kernel, call.service.parts
     lab, check = kernel.state.lab, parts.log_check
-    return Health(
+    return make_from(
+        Health,
+        lab,
         status="failed" if kernel.failed.done() else "ok",
         lab=lab.id,
-        name=lab.name,
-        epoch=lab.epoch,
         position=kernel.durable,
         suspended=kernel.suspended,
         simulated=parts.simulated,
-        pace=lab.pace,
         broken_drivers=dict(parts.broken_drivers),
         log_check=LogCheckView(**check.make_view()) if check is not None else None,
     )
 
 
-@Operation(
+@read(
     route="GET /state",
     client=Method("state"),
     answer=LabView,
     summary="Show the present state of the lab",
-    needs="viewer",
 )
 async def get_state(call: Call, query: StateQuery) -> Response:
     """Requests at the same time share one answer, which is newer than each of them."""
     return wire.answer_encoded(await call.api.state_for(call.viewer, waits=query.waits).get())
 
 
-@Operation(
+@read(
     route="GET /inventory",
     client=Method("inventory"),
     summary="Show the resources that are left, and when they run out",
-    needs="viewer",
 )
 def get_inventory(call: Call) -> Inventory:
     """Levels and lots of all resources, the content of stacks, the room in waste stations, and in `runs_out`
@@ -75,11 +104,10 @@ def get_inventory(call: Call) -> Inventory:
     return count_inventory(call.kernel.state, now, iso_time(now)[:10])
 
 
-@Operation(
+@read(
     route="GET /nodes",
     client=Method("_list_nodes", take="modules"),
     summary="Ask the nodes of modules for their present state",
-    needs="viewer",
     example_answer={"modules": [_NODE]},
 )
 async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:

@@ -9,27 +9,33 @@ from starlette.responses import Response, StreamingResponse
 
 from labos.core.structs import make_from
 from labos.http import wire
-from labos.http.answers import EventPage
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, list_operations, read
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
 from labos.http.words import STORED
-from labos.ports import LogQuery
+from labos.ports import EventLine, LogQuery
+
+
+class EventPage(msgspec.Struct, frozen=True):
+    """Committed events in order. For the next page, ask with ``after`` = ``position``."""
+
+    events: list[EventLine]
+    position: int
+
 
 CONNECTION = "labos.connection"
 """The key in a request's scope with its connection."""
 
 
-@Operation(
+@read(
     route="GET /events",
     client=Method("events", by_hand=True),
     answer=EventPage,
     summary="Committed events in order",
-    needs="viewer",
 )
 async def list_events(call: Call, query: EventsQuery) -> Response:
     """One page, at most 1000 events. For the next page, ask with `after` = `position` of the answer."""
@@ -39,13 +45,8 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
 
     if query.wait and not is_there():
         await call.service.feed.wait_until(is_there, query.wait, each_s=0.01)
-    wanted = msgspec.structs.replace(
-        _make_log_query(query),
-        last=query.last or None,
-        upto=query.upto or None,
-        since_ns=query.since or None,
-        until_ns=query.until or None,
-    )
+    times = {"since_ns": query.since or None, "until_ns": query.until or None}
+    wanted = _make_log_query(query, last=query.last or None, upto=query.upto or None, **times)
     if query.stored:
         call.request.scope[STORED] = True
     return wire.answer_encoded(
@@ -53,14 +54,13 @@ async def list_events(call: Call, query: EventsQuery) -> Response:
     )
 
 
-@Operation(
+@read(
     route="GET /events/stream",
     client=Method("events", by_hand=True),
     answer=str,
     media=(STREAM_TYPE,),
     headers=("Last-Event-ID",),
     summary="Committed events as a stream",
-    needs="viewer",
 )
 async def follow_events(call: Call, query: EventFilter) -> Response:
     """A stream of server-sent events without end: `id` is the position, `data` is the event. The header
@@ -81,17 +81,17 @@ async def follow_events(call: Call, query: EventFilter) -> Response:
 
 async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator[bytes]:
     yield RETRY
-    shown = call.who.credential
-    end = call.api.ends.begin(shown) if shown is not None else None
+    ends, shown = call.api.ends, call.who.credential
+    end = ends.begin(shown.key, ends.find_length_s(shown)) if shown is not None else None
     try:
         async for piece in call.service.tail.follow(query, end, stored=stored, viewer=call.viewer):
             yield piece
     finally:
         if shown is not None and end is not None:
-            call.api.ends.forget_stream(shown, end)
+            ends.forget(shown.key, end)
 
 
-@Operation(
+@read(
     route="GET /files/{sha256}",
     client=Method("file", by_hand=True),
     answer=bytes,
@@ -100,7 +100,6 @@ async def _stream(call: Call, query: LogQuery, *, stored: bool) -> AsyncIterator
     other_statuses={206: "The requested part", 304: "The file has not changed"},
     problems=("range_not_satisfiable", "log_damaged"),
     summary="The content of a file",
-    needs="viewer",
 )
 async def get_file(call: Call, path: OfFile) -> Response:
     """A file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With `Range:
@@ -120,8 +119,8 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
     return bool(await connection.give_away(lambda s: viewers.take_over(s, follow, durable)))
 
 
-def _make_log_query(query: EventFilter) -> LogQuery:
-    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream))
+def _make_log_query(query: EventFilter, **more: int | None) -> LogQuery:
+    return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream), **more)
 
 
 OPERATIONS = list_operations(globals(), "log")

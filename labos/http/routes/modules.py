@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 import msgspec
 
@@ -12,16 +13,6 @@ from labos.core.ids import workcell_of
 from labos.core.structs import make_from
 from labos.errors import BadInput
 from labos.http.access import end_access, request_access
-from labos.http.answers import (
-    AccessResult,
-    CalibrationRecord,
-    Locations,
-    ModuleReference,
-    PoseVersion,
-    ReplenishResult,
-    TraceFile,
-    WorkcellReference,
-)
 from labos.http.asking import switch_trace
 from labos.http.bodies import (
     AccessEnd,
@@ -35,21 +26,72 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, change, list_operations, read
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
-from labos.http.teaching import make_locations, teach
+from labos.http.teaching import LocationPose, make_locations, teach
 from labos.http.workcells import WorkcellChange, apply_workcell
+
+
+class ModuleReference(msgspec.Struct, frozen=True):
+    module: str
+
+
+class TraceFile(msgspec.Struct, frozen=True):
+    """The transcript: a file on the node's computer. The node chooses its name."""
+
+    module: str
+    file: str
+
+
+class ReplenishResult(msgspec.Struct, frozen=True):
+    """The amount that was put in."""
+
+    module: str
+    resource: str
+    amount: float
+
+
+class Locations(msgspec.Struct, frozen=True):
+    locations: dict[str, LocationPose]
+
+
+class PoseVersion(msgspec.Struct, frozen=True):
+    version: int
+
+
+class CalibrationRecord(msgspec.Struct, frozen=True):
+    """The recorded calibration. ``file`` is the SHA-256 of its report; empty if none was sent."""
+
+    module: str
+    what: str
+    certificate: str
+    file: str
+    until: str
+
+
+class AccessResult(msgspec.Struct, frozen=True):
+    """``parking`` are the runs that first move arms to their rest positions."""
+
+    workcell: str
+    parking: list[str]
+
+
+class WorkcellReference(msgspec.Struct, frozen=True):
+    workcell: str
+
+
+_operate = partial(change, needs="operator")
+"""What a person does at a module or a workcell."""
+
 
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
 
-@Operation(
+@_operate(
     route="POST /modules/{module}/out-of-service",
     client=Method("take_out", "module, why, by, until_ns=until", take=None),
     summary="Take a module out of service",
-    needs="operator",
-    problems=("refused",),
     example={"why": "new foil", "by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -62,12 +104,10 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
-@Operation(
+@_operate(
     route="POST /modules/{module}/in-service",
     client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
     summary="Put a module back in service",
-    needs="operator",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"module": "rpl/sealer"},
 )
@@ -76,12 +116,10 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
     return ModuleReference(path.module)
 
 
-@Operation(
+@_operate(
     route="POST /modules/{module}/trace",
     client=Method("trace", "module, by='somebody'", take="file", repeat=True),
     summary="Start or stop the transcript of a device's links",
-    needs="operator",
-    problems=("refused",),
     example={"by": "ada", "on": True},
     example_answer={"module": "rpl/sealer", "file": "/lab/traces/sealer.jsonl"},
 )
@@ -108,11 +146,10 @@ async def replenish_resource(call: Call, path: OfModule, body: Replenishment) ->
     return ReplenishResult(path.module, body.resource, amount)
 
 
-@Operation(
+@read(
     route="GET /modules/{module}/locations",
     client=Method("locations", take="locations"),
     summary="Show the poses of a manipulator by station",
-    needs="viewer",
     example_answer={
         "locations": {"sealer.default": {"pose": [190.1], "version": 2, "proven": True, "types": {}}}
     },
@@ -123,13 +160,11 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
-@Operation(
+@_operate(
     route="POST /modules/{module}/locations",
     client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
     summary="Teach a manipulator the pose for a station",
-    needs="operator",
     status=201,
-    problems=("refused",),
     example={"station": "sealer.default", "pose": [190.1], "by": "ada", "why": "moved"},
     example_answer={"version": 3},
 )
@@ -138,13 +173,11 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
-@Operation(
+@_operate(
     route="POST /modules/{module}/calibrations",
     client=Method("calibrate", "module, by", key="new"),
     summary="Record a calibration of a module",
-    needs="operator",
     status=201,
-    problems=("refused",),
     example={"by": "ada", "what": "volume", "certificate": "K-2041", "until": "2027-01-01"},
     example_answer={
         "module": "rpl/ot2_cp_gamma",
@@ -186,14 +219,12 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
-@Operation(
+@_operate(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
     summary="Request access to a workcell",
     tag="workcells",
-    needs="operator",
     status=201,
-    problems=("refused",),
     example={"by": "ada", "why": "a plate is askew"},
     example_answer={"workcell": "rpl", "parking": ["R7"]},
 )
@@ -204,13 +235,11 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
-@Operation(
+@_operate(
     route="POST /workcells/{workcell}/access/end",
     client=Method("_end_workcell_access", take=None),
     summary="End the access to a workcell",
     tag="workcells",
-    needs="operator",
-    problems=("refused",),
     example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},
     example_answer={"workcell": "rpl"},
 )

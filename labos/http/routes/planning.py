@@ -9,22 +9,17 @@ import msgspec
 from labos.core.approvals import ApprovalRequested, Demand
 from labos.core.decide import Rejection, decide
 from labos.core.decide.policy import sum_demand_of_choices
-from labos.core.decide.runs import SubmitRun
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId, local
 from labos.core.model import MAIN
 from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.core.users import find_person
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
-from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
-from labos.http.placing import make_loads
+from labos.http.operation import Call, Operation, list_operations, read, submit
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
-from labos.services.times import parse_due
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
 from labos.spec.findings import Finding
@@ -96,12 +91,11 @@ class CheckedRun(msgspec.Struct, frozen=True):
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 
-@Operation(
+@read(
     route="GET /modules/{module}/actions",
     client=Method("actions"),
     summary="List the actions of a module",
     tag="modules",
-    needs="viewer",
 )
 async def list_actions(call: Call, path: OfModule) -> ActionList:
     """The actions and their arguments, as a step of a workflow uses them."""
@@ -121,11 +115,10 @@ async def list_actions(call: Call, path: OfModule) -> ActionList:
     return ActionList(name, spec.driver, found.description, actions)
 
 
-@Operation(
+@read(
     route="GET /workcells/{workcell}/order",
     client=Method("suggested_order"),
     summary="Show the order that a planner suggests for the next steps of a workcell",
-    needs="viewer",
     problems=("not_found",),
 )
 async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
@@ -193,37 +186,23 @@ class StepsLeft(msgspec.Struct, frozen=True):
     steps: int
 
 
-@Operation(
+@submit(
     route="POST /runs/check",
     client=Method("_check_run", "workflow, user=''", repeat=True),
     summary="Check a run of a workflow without submitting it",
     tag="runs",
-    needs="submitter",
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
-    largest_body=LARGEST_BODY,
 )
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""
     service, state = call.service, call.kernel.state
     service.expect_role(body.user, "submitter")  # before anything is planned
-    workcell = await service.find_workcell_for(body.workflow, body.workcell)
-    loads = make_loads(service, body.place, workcell, body.user)
-    compiled = await service.compile(body.workflow, body.payload, workcell, loads, keep=False)
-    plan = compiled.plan
-    command = make_from(
-        SubmitRun,
-        body,
-        plan=plan,
-        others=compiled.others,
-        user=find_person(body.user),
-        pins=service.list_pins(body.workflow, *compiled.plans),
-        due_at=parse_due(body.due, call.kernel.clock.now_ns()),
-    )
-    answer = decide(state, command, body.user)
+    planned = await service.plan_run(body)
+    plan, plans = planned.run.plan, planned.run.plans
+    answer = decide(state, planned.run, body.user)
     refusal = f"{answer.message} {answer.remedy}".strip() if isinstance(answer, Rejection) else ""
     asked = [] if isinstance(answer, Rejection) else [e for e in answer if isinstance(e, ApprovalRequested)]
-    choices = list_choices(compiled.plans)
+    choices = list_choices(plans)
     steps = [
         make_from(
             PlannedStep,
@@ -240,10 +219,10 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         workflow=plan.workflow,
         workcell=plan.workcell,
         steps=steps,
-        demand=sum_demand_of_choices(compiled.plans),
+        demand=sum_demand_of_choices(plans),
         approval=tuple(why.text for event in asked for why in event.why),
         refusal=refusal,
-        warnings=compiled.findings,
+        warnings=planned.findings,
     )
 
 

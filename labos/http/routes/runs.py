@@ -3,22 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 from itertools import islice
+
+import msgspec
 
 from labos.core.envelope import Record
 from labos.core.runs import RUN_ENDS
 from labos.core.structs import make_from
 from labos.errors import NotFound
-from labos.http.answers import (
-    ExperimentReference,
-    FileReference,
-    HeartbeatReply,
-    RunDetail,
-    RunReference,
-    Runs,
-    RunsSubmission,
-    RunSubmission,
-)
 from labos.http.batches import submit_batch
 from labos.http.bodies import (
     By,
@@ -34,10 +27,83 @@ from labos.http.bodies import (
 )
 from labos.http.limits import LARGEST_BODY
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, change, list_operations, read, submit
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
+from labos.services.runs import StepHistory
+from labos.spec.findings import Finding
+
+
+class RunDetail(msgspec.Struct, frozen=True):
+    """A run from the log, with its steps. Times are in UTC nanoseconds, 0 if not yet known. ``status``:
+    queued, active, paused, cancelling, leaving, completed, failed or cancelled. ``busy`` are the periods
+    (from, to) in which one of its actions was in flight. ``due_at`` is the time by which it should end."""
+
+    id: str
+    workflow: str
+    workcell: str
+    user: str
+    experiment: str
+    submitted_at: int
+    steps: list[StepHistory]
+    status: str
+    started_at: int
+    ended_at: int
+    why: str
+    paused: bool
+    closing: bool
+    campaign: str
+    busy: list[tuple[int, int]]
+    due_at: int
+
+
+class Runs(msgspec.Struct, frozen=True):
+    """A page of runs. ``position`` is the position of the last submission on it; ``more``: there are later
+    ones. ``ended_position`` is the position of the earliest end on it (0: none)."""
+
+    runs: list[RunDetail]
+    position: int
+    more: bool
+    ended_position: int
+
+
+class RunSubmission(msgspec.Struct, frozen=True):
+    """The id of the run, and the warnings about the workflow's files. ``approval`` is the reason if it waits
+    for an approval."""
+
+    run: str
+    warnings: tuple[Finding, ...] = ()
+    approval: str = ""
+
+
+class RunsSubmission(msgspec.Struct, frozen=True):
+    """The ids of the runs, in the order of their payloads, and the warnings about the workflow's files.
+    ``approvals`` has the reason, one sentence for each run that waits for an approval."""
+
+    runs: list[str]
+    warnings: tuple[Finding, ...] = ()
+    approvals: tuple[str, ...] = ()
+
+
+class RunReference(msgspec.Struct, frozen=True):
+    run: str
+
+
+class FileReference(msgspec.Struct, frozen=True):
+    sha256: str
+
+
+class ExperimentReference(msgspec.Struct, frozen=True):
+    """``approval`` is the reason if it waits for an approval."""
+
+    experiment: str
+    approval: str = ""
+
+
+class HeartbeatReply(msgspec.Struct, frozen=True):
+    """The lab has recorded the heartbeat."""
+
 
 _WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 _TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
@@ -49,11 +115,14 @@ _RUN = {
 }
 
 
-@Operation(
+_of_application = partial(change, tag="experiments", needs="submitter", headers=("LabOS-User",))
+"""A request of an application about its experiment."""
+
+
+@read(
     route="GET /runs",
     client=Method("runs", "after"),
     summary="List the runs that have not ended, and the last ended ones",
-    needs="viewer",
 )
 async def list_runs(call: Call, query: RunsQuery) -> Runs:
     """A page of the runs that have not ended, in the order of their submission. While there are `more`, ask
@@ -79,38 +148,32 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
     """The last ends of runs before a position, in order."""
     upto = query.before - 1 if query.before else None
     wanted = LogQuery(types=RUN_ENDS, last=query.ended, upto=upto)
-    read = call.service.parts.store.select
-    return await asyncio.to_thread(lambda: list(islice(read(wanted), query.ended)))
+    select = call.service.parts.store.select
+    return await asyncio.to_thread(lambda: list(islice(select(wanted), query.ended)))
 
 
-@Operation(
+@submit(
     route="POST /runs",
     client=Method("_submit_run", "workflow, user", key="given"),
     summary="Queue a run of a workflow",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example=_RUN,
     example_answer={"run": "R1", "warnings": []},
-    largest_body=LARGEST_BODY,
 )
 async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     run, findings = await call.service.submit(body, call.key)
     return RunSubmission(run, findings, describe_waiting(call.kernel.state, run))
 
 
-@Operation(
+@submit(
     route="POST /runs/batch",
     client=Method("_submit_runs", "workflow, payloads, user", key="given"),
     summary="Queue a run of a workflow for each payload, all of them or none",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
     example_answer={"runs": ["R1", "R2"], "warnings": []},
-    largest_body=LARGEST_BODY,
 )
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     """The runs are queued in one step: all of them, or none. So the first one starts when the lab knows the
@@ -120,11 +183,10 @@ async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
     return RunsSubmission(runs, findings, tuple(filter(None, approvals)))
 
 
-@Operation(
+@read(
     route="GET /runs/{run}",
     client=Method("_get_run"),
     summary="Show a run with its steps, or its end",
-    needs="viewer",
 )
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     story = await call.service.read_story(path.run, query.wait)
@@ -133,12 +195,11 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     return make_from(RunDetail, story)
 
 
-@Operation(
+@change(
     route="POST /runs/{run}/cancel",
     client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
     summary="Cancel a run",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "wrong plate"},
     example_answer={"run": "R1"},
 )
@@ -151,12 +212,11 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@change(
     route="POST /runs/{run}/pause",
     client=Method("pause", "run, by='somebody'", take=None, repeat=True),
     summary="Pause a run: no further step starts",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada", "why": "lunch"},
     example_answer={"run": "R1"},
 )
@@ -166,12 +226,11 @@ async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@change(
     route="POST /runs/{run}/resume",
     client=Method("resume", "run, by='somebody'", take=None, repeat=True),
     summary="Resume a paused run",
     needs="submitter",
-    problems=("refused",),
     example={"by": "ada"},
     example_answer={"run": "R1"},
 )
@@ -181,18 +240,15 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     return RunReference(path.run)
 
 
-@Operation(
+@submit(
     route="POST /experiments",
     client=Method("_start_experiment", "name, user", key="given"),
     summary="Start an experiment",
     tag="experiments",
-    needs="submitter",
     status=201,
-    problems=("not_found", "refused", "spec_error", "spec_errors"),
     logs_key=True,
     example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
     example_answer={"experiment": "E1"},
-    largest_body=LARGEST_BODY,
 )
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
     """An application starts. From now on it has to send a note or a heartbeat at least every 30 s; otherwise
@@ -202,14 +258,10 @@ async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReferen
     return ExperimentReference(experiment, describe_waiting(call.kernel.state, experiment))
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/resume",
     client=Method("resume_experiment", "experiment, name, user", take=None, repeat=True),
     summary="Resume an experiment",
-    tag="experiments",
-    needs="submitter",
-    problems=("refused",),
-    headers=("LabOS-User",),
     example={"name": "color picker"},
     example_answer={"experiment": "E1"},
 )
@@ -222,14 +274,10 @@ async def resume_experiment(
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/end",
     client=Method("end_experiment", "experiment, why, user", take=None, repeat=True),
     summary="End an experiment",
-    tag="experiments",
-    needs="submitter",
-    problems=("refused",),
-    headers=("LabOS-User",),
     example={"why": "ended"},
     example_answer={"experiment": "E1"},
 )
@@ -239,15 +287,11 @@ async def end_experiment(call: Call, path: OfExperiment, body: ExperimentEnd) ->
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/notes",
     client=Method("note", "experiment, kind, name, facts, user", take=None),
     summary="Log a note of the application",
-    tag="experiments",
-    needs="submitter",
     status=201,
-    problems=("refused",),
-    headers=("LabOS-User",),
     example={"kind": "decision", "name": "next colors", "facts": {"colors": [1, 2, 3]}},
     example_answer={"experiment": "E1"},
 )
@@ -256,15 +300,12 @@ async def note_experiment(call: Call, path: OfExperiment, body: ExperimentNote) 
     return ExperimentReference(path.experiment)
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/files",
     client=Method("keep_file", "experiment, content, user", take="sha256", repeat=True),
     summary="Store a file of an experiment",
-    tag="experiments",
-    needs="submitter",
     status=201,
     problems=("not_found",),
-    headers=("LabOS-User",),
     largest_body=LARGEST_BODY,
     example={"content": "aGVsbG8="},
     example_answer={"sha256": "2cf24dba5fb0a30e26e83b2ac5b9e29e1b161e5c1fa7425e73043362938b9824"},
@@ -278,14 +319,12 @@ async def keep_file(call: Call, path: OfExperiment, body: NewFile) -> FileRefere
     return FileReference(await asyncio.to_thread(call.service.parts.blobs.put, body.content))
 
 
-@Operation(
+@_of_application(
     route="POST /experiments/{experiment}/heartbeat",
     client=Method("heartbeat", "experiment, user", take=None, repeat=True),
     at_kernel=True,
     summary="Report that the application is running",
-    tag="experiments",
-    needs="submitter",
-    headers=("LabOS-User",),
+    problems=(),
     example_answer={},
 )
 async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:

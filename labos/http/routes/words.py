@@ -2,26 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import asyncio
+from collections.abc import Sequence
+from typing import Annotated, Protocol, cast
 
 import msgspec
 
-from labos.core.decide.erasure import MOST_RECORDS, RefuseErasure
-from labos.core.erasure import REASONS, Erasure
+from labos.core.decide.erasure import MOST_RECORDS, EraseWords, RefuseErasure
+from labos.core.erasure import REASONS, Erasure, ErasureAsked, WordsErased
+from labos.core.registry import TYPES
 from labos.core.structs import make_from
-from labos.errors import NotFound
-from labos.http.erasing import ErasureDone, erase
+from labos.core.words import PREFIX, find_fields_of_words, list_references
+from labos.errors import NotFound, Refused
 from labos.http.limits import Asker, Name, Time, says
 from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations
+from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.services.log import Log
+
+Found = tuple[tuple[int, str], ...]
+"""Digests of references to words, each with the position of an event that contains it."""
+
+
+class ErasingLog(Log, Protocol):
+    """A log with a list of the words that are stored beside it."""
+
+    def words_by(self, user: str) -> list[tuple[int, str]]: ...
+
+
+class ErasureDone(msgspec.Struct, frozen=True):
+    """``erased`` is the number of deleted texts, and ``records`` are the positions of their events.
+    ``position`` is the position of the event that records the erasure. ``left`` says where in the database's
+    files bytes of the texts may remain (empty: nowhere). With an ``erasure``, nothing is deleted yet: it
+    waits under this id for a second person."""
+
+    erasure: str
+    erased: int
+    records: list[int]
+    position: int
+    left: str
+
 
 _CODES = ", ".join(f"`{code}` ({why})" for code, why in REASONS.items())
 
 
 class OfErasure(msgspec.Struct, frozen=True):
-    erasure: Annotated[
-        Name, msgspec.Meta(description="the id of an erasure that waits for a second person", examples=["X1"])
-    ]
+    erasure: Annotated[Name, says("the id of an erasure that waits for a second person", "X1")]
 
 
 class NewErasure(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
@@ -64,11 +89,10 @@ class ErasureReference(msgspec.Struct, frozen=True):
 _DONE = {"erasure": "", "erased": 1, "records": [120], "position": 245, "left": ""}
 
 
-@Operation(
+@read(
     route="GET /words/erasures",
     client=Method("erasures", take="erasures"),
     summary="List the erasures that wait for a second person",
-    needs="viewer",
 )
 def list_erasures(call: Call) -> Erasures:
     waiting = call.kernel.state.erasures.open
@@ -92,13 +116,12 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
-@Operation(
+@change(
     route="POST /words/erasures/{erasure}/approve",
     client=Method("approve_erasure"),
     summary="Agree to an erasure, as the second person",
     needs="admin",
     at_kernel=True,
-    problems=("refused",),
     example={"by": "olga"},
     example_answer=_DONE,
 )
@@ -108,12 +131,11 @@ async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> Erasu
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
-@Operation(
+@change(
     route="POST /words/erasures/{erasure}/refuse",
     client=Method("refuse_erasure", take="erasure", repeat=True),
     summary="Refuse an erasure that waits for a second person",
     needs="admin",
-    problems=("refused",),
     example={"by": "olga"},
     example_answer={"erasure": "X1"},
 )
@@ -130,6 +152,54 @@ def _find_erasure(call: Call, name: str) -> Erasure:
     if found is None:
         raise NotFound(f"No erasure {name!r} waits for a second person.", remedy="List them: labos erase")
     return found
+
+
+async def erase(
+    call: Call, because: str, by: str, records: Sequence[int], user: str, erasure: str = ""
+) -> ErasureDone:
+    """Erase words, or request the agreement of a second person. Raises NotFound, Refused, Forbidden."""
+    log = cast(ErasingLog, call.service.parts.store)
+    found = await asyncio.to_thread(_find, log, tuple(records), user, call.kernel.durable)
+    command = EraseWords(because, by, found, tuple(records), user, erasure)
+    events = await call.kernel.execute(command, by)
+    asked = next((event for event in events if isinstance(event, ErasureAsked)), None)
+    if asked is not None:
+        return ErasureDone(asked.erasure, 0, [], 0, "")
+    position = call.kernel.durable
+    gone = [event for event in events if isinstance(event, WordsErased)]
+    left = await call.kernel.scrub()
+    positions = sorted({at for event in gone for at in event.records})
+    return ErasureDone("", sum(len(event.digests) for event in gone), positions, position, left)
+
+
+def _find(log: ErasingLog, records: tuple[int, ...], user: str, durable: int) -> Found:
+    named = (
+        log.words_by(user) if user else [pair for at in records for pair in _list_words_at(log, at, durable)]
+    )
+    first = {reference: position for position, reference in reversed(named)}
+    standing = [kept for kept in log.words_of(first).values() if not kept.is_erased]
+    digests = [(first[kept.reference], kept.reference.removeprefix(PREFIX)) for kept in standing]
+    return tuple(sorted(digests))
+
+
+def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[int, str]]:
+    """The references in a record. Raises NotFound, and Refused for a record whose words are in the log
+    itself."""
+    record = next(log.read(position - 1, position), None) if 0 < position <= durable else None
+    if record is None:
+        raise NotFound(f"The log has no position {position}.", remedy="Find it: labos log")
+    found = list_references(record.payload)
+    if found:
+        return [(position, reference) for reference in found]
+    kind = TYPES.get(record.head.type)
+    content = msgspec.json.decode(record.payload)
+    if kind is not None and any(content.get(name) for name in find_fields_of_words(kind)):
+        raise Refused(
+            f"The words of position {position} are in the log itself: they were written by LabOS, or "
+            "by a version that could not erase words.",
+            remedy="The content of the log itself cannot be erased.",
+        )
+    return []
 
 
 OPERATIONS = list_operations(globals(), "log")

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection
-from functools import partial
-from typing import Literal, TypeVar
+from typing import Literal
 
 import msgspec
 import structlog
@@ -34,7 +33,6 @@ MOST_TOKENS = 100
 
 _SECOND = 1_000_000_000
 _log = structlog.get_logger(__name__)
-R = TypeVar("R")
 
 
 class Credential(msgspec.Struct, frozen=True):
@@ -93,11 +91,11 @@ class Accounts:
     async def _find(self, secret: str, digest: bytes) -> Credential:
         key = _make_key(digest)
         if secret.startswith(SESSION):
-            session = await self._ask(self._store.session, digest)
+            session = await asyncio.to_thread(self._store.session, digest)
             if session is None:
                 raise NotSignedIn("The session has ended.", remedy=_explain_sign_in("session"))
             return Credential(session.user, "session", "admin", key, session.expires_at)
-        token = await self._ask(self._store.token, digest) if secret.startswith(TOKEN) else None
+        token = await asyncio.to_thread(self._store.token, digest) if secret.startswith(TOKEN) else None
         if token is None:
             raise NotSignedIn("The token does not belong to this lab.", remedy=_explain_sign_in("token"))
         if token.revoked_at:
@@ -108,7 +106,7 @@ class Accounts:
         id_ = credential.token
         if id_ and now - self._used.get(id_, -USED_EVERY_S) >= USED_EVERY_S:
             self._used[id_] = now
-            await self._ask(self._store.use_token, id_, self._clock.now_ns())
+            await asyncio.to_thread(self._store.use_token, id_, self._clock.now_ns())
 
     # -- signing in ----------------------------------------------------------------------------
 
@@ -122,7 +120,7 @@ class Accounts:
             self.count_try("too_many")
             _log.warning("sign_in_refused", user=named, address=address, why="too many tries")
             raise TooManyTries("There were too many tries to sign in.", wait_s=wait)
-        hash_ = await self._ask(self._store.password, user) if known else ""
+        hash_ = await asyncio.to_thread(self._store.password, user) if known else ""
         if not await self._passwords.is_right(hash_, password):
             self.count_try("wrong")
             _log.warning("sign_in_refused", user=named, address=address, why="wrong password or user")
@@ -137,13 +135,13 @@ class Accounts:
             await self.end_session(before)
         secret, now = make_secret(SESSION), self._clock.now_ns()
         session = Session(user, how, now, now + int(SESSION_S * _SECOND))
-        await self._ask(self._store.add_session, session, make_digest(secret))
+        await asyncio.to_thread(self._store.add_session, session, make_digest(secret))
         return secret, session
 
     async def end_session(self, secret: str) -> None:
         digest = make_digest(secret)
-        await self._ask(self._store.end_session, digest)
-        self._forget(lambda credential: credential.key == _make_key(digest))
+        await asyncio.to_thread(self._store.end_session, digest)
+        self._forget_key(_make_key(digest))
 
     # -- tokens --------------------------------------------------------------------------------
 
@@ -161,11 +159,11 @@ class Accounts:
             )
         secret = make_secret(TOKEN)
         token = Token(make_id(), user, label, scope, now, now + int(days * 86400 * _SECOND))
-        await self._ask(self._store.add_token, token, make_digest(secret))
+        await asyncio.to_thread(self._store.add_token, token, make_digest(secret))
         return secret, token
 
     async def tokens(self, user: str = "") -> list[Token]:
-        return await self._ask(self._store.tokens, user)
+        return await asyncio.to_thread(self._store.tokens, user)
 
     async def revoke_token(self, id_: str, user: str = "") -> Token:
         """Revoke a token; with ``user``, only if it belongs to that user. Raises NotFound."""
@@ -173,7 +171,7 @@ class Accounts:
         if found is None:
             whose = f"{user} has" if user else "There is"
             raise NotFound(f"{whose} no token {id_!r}.", remedy="List them: labos token list")
-        await self._ask(self._store.revoke_token, id_, self._clock.now_ns())
+        await asyncio.to_thread(self._store.revoke_token, id_, self._clock.now_ns())
         self._forget(lambda credential: credential.token == id_)
         return found
 
@@ -183,32 +181,32 @@ class Accounts:
         """Set a new password; all sessions of the user end. Raises BadInput."""
         check_password(password, user)
         await self._keep_password(user, password)
-        await self._ask(self._store.end_sessions, user)
+        await asyncio.to_thread(self._store.end_sessions, user)
         self._forget(lambda credential: credential.user == user and credential.how == "session")
 
     async def _keep_password(self, user: str, password: str) -> None:
         hash_ = await self._passwords.hash(password)
-        await self._ask(self._store.set_password, user, hash_, self._clock.now_ns())
+        await asyncio.to_thread(self._store.set_password, user, hash_, self._clock.now_ns())
 
     async def has_password(self, user: str) -> bool:
-        return bool(await self._ask(self._store.password, user))
+        return bool(await asyncio.to_thread(self._store.password, user))
 
     async def people(self) -> dict[str, Person]:
-        return await self._ask(self._store.people)
+        return await asyncio.to_thread(self._store.people)
 
     async def set_person(self, person: Person) -> None:
-        await self._ask(self._store.set_person, person)
+        await asyncio.to_thread(self._store.set_person, person)
 
     async def erase(self, user: str) -> None:
         """Erase the user's name and everything with which they sign in; events with the user's id remain."""
-        await self._ask(self._store.erase, user)
+        await asyncio.to_thread(self._store.erase, user)
         self._forget(lambda credential: credential.user == user)
 
     async def user_of(self, issuer: str, subject: str) -> str:
-        return await self._ask(self._store.user_of, issuer, subject)
+        return await asyncio.to_thread(self._store.user_of, issuer, subject)
 
     async def link(self, issuer: str, subject: str, user: str) -> None:
-        await self._ask(self._store.link, issuer, subject, user)
+        await asyncio.to_thread(self._store.link, issuer, subject, user)
 
     async def check_again(self, keys: Collection[str]) -> None:
         """Ask the database whether the credentials with these keys are still valid: another process may have
@@ -217,12 +215,12 @@ class Accounts:
             if known.key not in keys:
                 continue
             if known.how == "session":
-                is_good = await self._ask(self._store.session, digest) is not None
+                is_good = await asyncio.to_thread(self._store.session, digest) is not None
             else:
-                token = await self._ask(self._store.token, digest)
+                token = await asyncio.to_thread(self._store.token, digest)
                 is_good = token is not None and not token.revoked_at
             if not is_good:
-                self._forget(partial(_has_key, known.key))
+                self._forget_key(known.key)
 
     # -- internal ------------------------------------------------------------------------------
 
@@ -230,6 +228,9 @@ class Accounts:
         """The user may not act any more: streams that were opened with one of their credentials are
         closed."""
         self._forget(lambda credential: credential.user == user)
+
+    def _forget_key(self, key: str) -> None:
+        self._forget(lambda credential: credential.key == key)
 
     def _forget(self, which: Which) -> None:
         for digest, (credential, _) in list(self._known.items()):
@@ -242,13 +243,6 @@ class Accounts:
         """Report an attempt to sign in, at the lab or with an identity provider."""
         for listener in self.on_try:
             listener(outcome)
-
-    async def _ask(self, work: Callable[..., R], *args: object) -> R:
-        return await asyncio.to_thread(work, *args)
-
-
-def _has_key(key: str, credential: Credential) -> bool:
-    return credential.key == key
 
 
 def _make_key(digest: bytes) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 
@@ -30,30 +30,36 @@ class GlobusTimes(msgspec.Struct, frozen=True):
     settle_s: float = 2.0
 
 
-class GlobusAccess:
+class GlobusAccess(msgspec.Struct, kw_only=True, dict=True, eq=False):
     """How a program authenticates: with an ``app`` (`globus_sdk.UserApp`, `ClientApp`) or an ``authorizer``
     of `globus_sdk`. ``base_url`` replaces the address of the service. Raises BadInput if there is neither."""
 
-    def __init__(
-        self, what: str, *, app: Any = None, authorizer: Any = None, base_url: str | None = None
-    ) -> None:
-        if (app is None) == (authorizer is None):
+    service: ClassVar[str]
+
+    app: Any = None
+    authorizer: Any = None
+    base_url: str | None = None
+    patience: GlobusTimes = GlobusTimes()
+
+    def __post_init__(self) -> None:
+        if (self.app is None) == (self.authorizer is None):
             raise BadInput(
-                f"The program has no credentials for {what}.",
+                f"The program has no credentials for {self.service}.",
                 remedy="Give either `app=globus_sdk.UserApp(…)` or an `authorizer`.",
             )
-        self._access = {"app": app, "authorizer": authorizer}
-        self._base_url = base_url
 
-    def open(self, kind: str, *args: Any) -> Any:
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}>"  # without credentials
+
+    def open_client(self, kind: str, *args: Any) -> Any:
         """A client of a class of `globus_sdk`. Raises BadInput if the SDK is not installed."""
         try:
             import globus_sdk
         except ImportError:
             raise report_missing_sdk() from None
-        made = getattr(globus_sdk, kind)(*args, **self._access)
-        if self._base_url is not None:  # one of the classes has no parameter `base_url`
-            made.base_url = self._base_url
+        made = getattr(globus_sdk, kind)(*args, app=self.app, authorizer=self.authorizer)
+        if self.base_url is not None:  # one of the classes has no parameter `base_url`
+            made.base_url = self.base_url
         # The SDK's one repetition renews an expired token; all other repetitions are ours.
         made.retry_config.max_retries = 1
         return made

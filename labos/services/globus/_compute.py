@@ -42,24 +42,16 @@ class WorkerLost(Exception):
     """A worker at a Globus endpoint died with its task."""
 
 
-class GlobusEndpoint:
+class GlobusEndpoint(GlobusAccess):
     """An endpoint of Globus Compute: its id, and how the program authenticates (see `GlobusAccess`)."""
 
-    def __init__(
-        self,
-        endpoint: str,
-        *,
-        app: Any = None,
-        authorizer: Any = None,
-        base_url: str | None = None,
-        patience: GlobusTimes | None = None,
-    ) -> None:
-        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.endpoint, self.patience = endpoint, patience or GlobusTimes()
+    service = SERVICE
+
+    endpoint: str
 
     def open(self) -> GlobusExecutor:
         """Raises BadInput if the SDK is not installed."""
-        asked, sent = self._access.open("ComputeClientV2"), self._access.open("ComputeClientV3")
+        asked, sent = self.open_client("ComputeClientV2"), self.open_client("ComputeClientV3")
         try:
             from globus_compute_sdk.serialize import ComputeSerializer
         except ImportError:

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 
 from labos.services.compute import SendingRecord
-from labos.services.globus._asking import GlobusAccess, GlobusRefused, GlobusTimes, ask, send_once, wait_for
+from labos.services.globus._asking import GlobusAccess, GlobusRefused, ask, send_once, wait_for
 
 SERVICE = "Globus Flows"
 MOST_RUNS = 500
@@ -19,24 +19,19 @@ MOST_RUNS = 500
 ENDS = ("SUCCEEDED", "FAILED", "ENDED")
 
 
-class GlobusFlow:
+class GlobusFlow(GlobusAccess):
     """A flow in Globus Flows: its id, and how the program authenticates (see `GlobusAccess`). A run that
     fails is started again, at most ``attempts`` times in all."""
 
-    def __init__(
-        self,
-        name: str,
-        flow: str,
-        *,
-        attempts: int = 1,
-        app: Any = None,
-        authorizer: Any = None,
-        base_url: str | None = None,
-        patience: GlobusTimes | None = None,
-    ) -> None:
-        self.name, self.flow, self.attempts = name, flow, max(attempts, 1)
-        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.patience = patience or GlobusTimes()
+    service = SERVICE
+
+    name: str
+    flow: str
+    attempts: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.attempts = max(self.attempts, 1)
 
     def __str__(self) -> str:
         return self.name
@@ -44,12 +39,12 @@ class GlobusFlow:
     @cached_property
     def starts(self) -> Any:
         """The client with the right to start it."""
-        return self._access.open("SpecificFlowClient", self.flow)
+        return self.open_client("SpecificFlowClient", self.flow)
 
     @cached_property
     def looks(self) -> Any:
         """The client with the right to read its runs."""
-        return self._access.open("FlowsClient")
+        return self.open_client("FlowsClient")
 
 
 class GlobusRun(msgspec.Struct, frozen=True):

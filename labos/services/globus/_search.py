@@ -8,38 +8,32 @@ from typing import Any
 
 from labos.errors import BadInput
 from labos.services.compute import SendingRecord
-from labos.services.globus._asking import GlobusAccess, GlobusFailed, GlobusTimes, wait_for
+from labos.services.globus._asking import GlobusAccess, GlobusFailed, wait_for
 
 SERVICE = "Globus Search"
 
 
-class GlobusIndex:
+class GlobusIndex(GlobusAccess):
     """An index of Globus Search: its id, who may see the publications (``["public"]``, for example, or URNs
     of users and groups), and how the program authenticates (see `GlobusAccess`)."""
 
-    def __init__(
-        self,
-        index: str,
-        *,
-        visible_to: Sequence[str],
-        app: Any = None,
-        authorizer: Any = None,
-        base_url: str | None = None,
-        patience: GlobusTimes | None = None,
-    ) -> None:
-        if not visible_to or isinstance(visible_to, str):
+    service = SERVICE
+
+    index: str
+    visible_to: Sequence[str]
+
+    def __post_init__(self) -> None:
+        if not self.visible_to or isinstance(self.visible_to, str):
             raise BadInput(
                 "It is not defined who may see the publication.",
                 remedy='Give visible_to, for example visible_to=["public"].',
             )
-        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.index, self.visible_to = index, list(visible_to)
-        self.patience = patience or GlobusTimes()
+        super().__post_init__()
 
     @cached_property
     def client(self) -> Any:
         """The client with the right to write to it."""
-        return self._access.open("SearchClient")
+        return self.open_client("SearchClient")
 
 
 def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: Mapping[str, Any]) -> str:
@@ -48,7 +42,7 @@ def ingest_once(index: GlobusIndex, sent: SendingRecord, subject: str, content: 
     GlobusUnreachable."""
     known = sent.find_own("sent")
     if known is None:
-        entry = {"subject": subject, "visible_to": index.visible_to, "content": dict(content)}
+        entry = {"subject": subject, "visible_to": list(index.visible_to), "content": dict(content)}
         document = {"ingest_type": "GMetaEntry", "ingest_data": entry}
         sent.keep("sending", {"index": index.index, "subject": subject})
         task = wait_for(

@@ -42,23 +42,14 @@ class GlobusPlace(msgspec.Struct, frozen=True):
         return cls(parts.netloc, unquote(parts.path))
 
 
-class GlobusCarrier:
+class GlobusCarrier(GlobusAccess):
     """Globus Transfer, and how the program authenticates (see `GlobusAccess`)."""
 
-    def __init__(
-        self,
-        *,
-        app: Any = None,
-        authorizer: Any = None,
-        base_url: str | None = None,
-        patience: GlobusTimes | None = None,
-    ) -> None:
-        self._access = GlobusAccess(SERVICE, app=app, authorizer=authorizer, base_url=base_url)
-        self.patience = patience or GlobusTimes()
+    service = SERVICE
 
     @cached_property
     def client(self) -> Any:
-        return self._access.open("TransferClient")
+        return self.open_client("TransferClient")
 
 
 class Moved(msgspec.Struct, frozen=True):

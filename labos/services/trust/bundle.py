@@ -21,11 +21,10 @@ import io
 import zipfile
 from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 import msgspec
 
-from labos.core.envelope import Envelope, Record
+from labos.core.envelope import Record
 from labos.core.merkle import Tree, hash_leaf, list_inclusion_ranges, make_proof
 from labos.core.plans import PlanRecorded, PlanStepsRecorded
 from labos.core.runs import RunSubmitted
@@ -33,7 +32,7 @@ from labos.core.words import list_references
 from labos.errors import LogDamaged, NotFound, Refused
 from labos.ports import BlobStore
 from labos.services.log import Log
-from labos.services.signatures import BEGINS, ENDS, SIGNED, Kind, list_runs
+from labos.services.signatures import ENDS, SIGNED, Kind, find_kind_in, list_runs
 from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import encode_rotations
 from labos.services.trust.notes import Note
@@ -84,15 +83,6 @@ class ProvenEvent(msgspec.Struct, frozen=True):
     proof: tuple[str, ...]
 
 
-class Planned(Protocol):
-    """An event with its decoded content."""
-
-    @property
-    def head(self) -> Envelope: ...
-    @property
-    def payload(self) -> bytes: ...
-
-
 class WordsLine(msgspec.Struct, frozen=True):
     """A line of ``words.jsonl``: a text and its salt (hexadecimal digits). An event holds the digest of
     both."""
@@ -118,7 +108,7 @@ def make_bundle(log: Log, blobs: BlobStore, subject: str, beside: Attachments) -
     log."""
     head = parse_tree_head(beside.note.text)
     tree, records, runs = _read(log, subject, head)
-    kind = _kind_of(records, subject)
+    kind = find_kind_in(record for record in records if record.head.stream == subject)
     if kind is None:
         raise NotFound(
             f"There is no run, experiment or campaign {subject!r} in this log up to position {head.size}.",
@@ -202,12 +192,6 @@ def _read(log: Log, subject: str, head: TreeHead) -> tuple[Tree, list[Record], t
     return tree, [found[position] for position in sorted(found)], tuple(runs)
 
 
-def _kind_of(records: Iterable[Record], subject: str) -> Kind | None:
-    """The kind of a stream, by its first event."""
-    kinds = (BEGINS.get(record.head.type) for record in records if record.head.stream == subject)
-    return next((kind for kind in kinds if kind is not None), None)
-
-
 def belongs_to(submission: bytes, subject: str) -> bool:
     """Whether a submitted run belongs to an experiment or a campaign."""
     found = msgspec.json.decode(submission)
@@ -222,7 +206,7 @@ def is_signature(kind: str, payload: bytes, names: Container[str]) -> bool:
     return (found.get("run") or found.get("subject")) in names
 
 
-def list_plan_streams(records: Iterable[Planned]) -> Iterator[str]:
+def list_plan_streams(records: Iterable[Record]) -> Iterator[str]:
     """The streams with the plans of submitted runs, besides the runs' own streams."""
     for record in records:
         if record.head.type == RunSubmitted.TYPE:

@@ -11,7 +11,7 @@ import msgspec
 
 from labos.core.campaigns import CampaignCompleted
 from labos.core.canonical import digest
-from labos.core.envelope import Envelope
+from labos.core.envelope import Envelope, Record
 from labos.core.merkle import hash_leaf, is_included
 from labos.core.runs import RunSubmitted
 from labos.core.signatures import RecordsSigned, RunSigned, make_digest_of_records
@@ -80,17 +80,12 @@ class BundleProof(msgspec.Struct, frozen=True):
         return [fault for part in self.parts for fault in part.faults]
 
 
-class _Event(msgspec.Struct, frozen=True):
-    head: Envelope
-    payload: bytes
-    envelope: bytes
-
-
 def prove_bundle(path: Path, trust: Trust) -> BundleProof:
     """Check a bundle. Raises BadInput for a file that is not a bundle."""
     files = _unpack(path)
     about = _read_about(files, path)
-    note, head = _parse_checkpoint(files)
+    note = parse_note(files[NOTE])
+    head = parse_tree_head(note.text)
     signed, signer = _check_signature(files, note, head, trust)
     inside, events = _check_events(files, head)
     parts = [
@@ -136,11 +131,6 @@ def _read_about(files: dict[str, bytes], path: Path) -> AboutBundle:
             remedy="Check it with the LabOS that made it.",
         )
     return about
-
-
-def _parse_checkpoint(files: dict[str, bytes]) -> tuple[Note, TreeHead]:
-    note = parse_note(files[NOTE])
-    return note, parse_tree_head(note.text)
 
 
 def _check_signature(
@@ -196,10 +186,10 @@ def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[
             yield VerifiedPart("time stamp", 1, error.message, (str(error),))
 
 
-def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart, list[_Event]]:
+def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart, list[Record]]:
     """Whether each event is in the tree and has its payload. Events that are not are left out of the later
     checks."""
-    good: list[_Event] = []
+    good: list[Record] = []
     faults: list[str] = []
     positions: list[int] = []
     lines = files[EVENTS].splitlines()
@@ -207,7 +197,8 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
         try:
             found = _line.decode(line)
             envelope = bytes(found.envelope)
-            event = _Event(_envelope.decode(envelope), bytes(found.payload), envelope)
+            # The hashes of the chain are not in a bundle: the tree is the proof.
+            event = Record(_envelope.decode(envelope), envelope, bytes(found.payload), b"")
             proof = [bytes.fromhex(each) for each in found.proof]
         except (msgspec.MsgspecError, ValueError) as error:
             faults.append(f"Line {number} of {EVENTS} cannot be read ({error}).")
@@ -227,7 +218,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
     return VerifiedPart("events", len(lines), result, tuple(faults), tuple(positions)), good
 
 
-def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
+def _check_story(about: AboutBundle, events: Sequence[Record]) -> VerifiedPart:
     """Whether these are all events of the bundle's subject and of its runs, each from its beginning to its
     end."""
     streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
@@ -236,7 +227,7 @@ def _check_story(about: AboutBundle, events: Sequence[_Event]) -> VerifiedPart:
         faults.append("The events are from several labs, or not from the lab of the bundle.")
     if [event.head.position for event in events] != sorted({event.head.position for event in events}):
         faults.append("The events are not in the order of the log.")
-    by_stream: dict[str, list[_Event]] = {name: [] for name in streams}
+    by_stream: dict[str, list[Record]] = {name: [] for name in streams}
     for event in events:
         by_stream.get(event.head.stream, []).append(event)
     for name, own in by_stream.items():
@@ -270,7 +261,7 @@ def _describe_story(about: AboutBundle, own: int) -> str:
     return whole + only
 
 
-def _list_gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[str, list[int]]]:
+def _list_gaps(name: str, kind: str, own: Sequence[Record]) -> Iterator[tuple[str, list[int]]]:
     """The events that are missing in a stream, with the positions at which this is visible."""
     for number, event in enumerate(own, 1):
         if event.head.version != number:
@@ -285,11 +276,11 @@ def _list_gaps(name: str, kind: str, own: Sequence[_Event]) -> Iterator[tuple[st
         yield f"The end of {name} is missing.", []
 
 
-def _is_submission(event: _Event, subject: str) -> bool:
+def _is_submission(event: Record, subject: str) -> bool:
     return event.head.type == RunSubmitted.TYPE and belongs_to(event.payload, subject)
 
 
-def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[str]:
+def _find_missing_rows(about: AboutBundle, own: Sequence[Record]) -> Iterator[str]:
     """The end of a campaign states its number of runs."""
     for event in own:
         if event.head.type == CampaignCompleted.TYPE:
@@ -299,7 +290,7 @@ def _find_missing_rows(about: AboutBundle, own: Sequence[_Event]) -> Iterator[st
                 yield f"{about.of} had {runs} runs, but {len(about.runs)} are here."
 
 
-def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[VerifiedPart]:
+def _check_signatures(about: AboutBundle, events: Sequence[Record]) -> Iterator[VerifiedPart]:
     """Whether people's signatures for the subject and its runs are for these records."""
     signed, faults, positions = [], [], []
     names = (about.of, *about.runs)
@@ -324,7 +315,7 @@ def _check_signatures(about: AboutBundle, events: Sequence[_Event]) -> Iterator[
         yield VerifiedPart("signed by", len(signed), result, tuple(faults), tuple(positions))
 
 
-def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[VerifiedPart]:
+def _check_words(files: dict[str, bytes], events: Sequence[Record]) -> Iterator[VerifiedPart]:
     """Whether the texts are those that people wrote into the events. A text that is not in the bundle was
     erased, or left out: that is not a fault."""
     named: dict[str, int] = {}
@@ -357,7 +348,7 @@ def _check_words(files: dict[str, bytes], events: Sequence[_Event]) -> Iterator[
     yield VerifiedPart("words", len(named), result, tuple(faults), tuple(positions))
 
 
-def _check_blobs(files: dict[str, bytes], events: Sequence[_Event]) -> VerifiedPart:
+def _check_blobs(files: dict[str, bytes], events: Sequence[Record]) -> VerifiedPart:
     named: dict[str, int] = {}
     for event in events:
         for each in find_needed_blobs(event.head.type, event.payload):

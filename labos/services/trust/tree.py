@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.envelope import GENESIS, find_damage
+from labos.core.envelope import GENESIS, check_chain
 from labos.core.merkle import Edge, hash_leaf
 from labos.errors import BadInput, LogDamaged
 from labos.private import make_folder, replace_file
@@ -78,9 +78,7 @@ def grow(log: Log, kept: StoredTree) -> Growth:
     if kept.size:
         _check_same(log, kept, previous)
     after, added = before.copy(), []
-    for record in log.read(kept.size, head.position):
-        if fault := find_damage(previous, record):
-            raise _report_damage(record.head.position, fault)
+    for record in check_chain(log.read(kept.size, head.position), previous, kept.size, _LOOK):
         leaf = hash_leaf(record.envelope)
         after.add(leaf)
         added.append(leaf)

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from labos.core.ids import split_written_place
 from labos.spec.dialects._madsci_transfers import KEYS, TransferTemplates
 from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import FindingList
@@ -171,8 +172,8 @@ class _Workcell:
         return {str(entry.get("template_name")): entry for entry in entries}
 
     def _place(self, location: _Location, at: Place) -> None:
-        owner, dot, last = location.name.partition(".")
-        own = bool(dot) and owner in self.modules and "." not in last
+        owner, _ = split_written_place(location.name)
+        own = location.name.count(".") == 1 and owner in self.modules
         place = location.name if own else f"wc.{location.name.replace('.', '_')}"
         if place in self.stations:
             raise location.reader.source.error(
@@ -245,8 +246,8 @@ class _Location:
         self.ways: dict[str, Any] = {}
         self.kind, self.capacity = "nest", 1
 
-    def warn(self, message: str, remedy: str = "Check the name.") -> None:
-        self.reader.warn_of_assumption(self.path, message, remedy)
+    def warn(self, message: str) -> None:
+        self.reader.warn_of_assumption(self.path, message, "Check the name.")
 
     def read(
         self,

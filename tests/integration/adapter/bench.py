@@ -66,7 +66,7 @@ class Bench:
         )
         self._stack.push_async_callback(bus.close)
         self._stack.push_async_callback(server.close)
-        self.kernel.journal = server.journal.id
+        self.kernel.journal = server.journal.memory.id
         return server
 
     async def process(

@@ -105,7 +105,7 @@ def test_questions_to_a_server_that_says_nothing_end(interface: str) -> None:
             assert where in await made.trouble()
 
         with_node(interface, configure(interface, server.port), use)
-        assert server.heard.is_set()
+        assert server.received.is_set()
 
 
 def slowly(interface: str) -> Any:

@@ -237,11 +237,11 @@ def test_nobody_plays_the_kernel(site: Site, who: str) -> None:
 def test_a_kernel_of_a_higher_epoch_that_is_none_is_not_heard(site: Site, who: str) -> None:
     """The node obeys whoever asks in the name of its lab with a greater epoch: on a secure bus only the
     lab's kernel can ask."""
-    epoch = site.sealer.journal.epoch
+    epoch = site.sealer.journal.memory.epoch
     question = msgspec.json.encode(Ask(LAB, epoch + 5, f"a-{who}", 1, 1, void=True)).decode()
     answered = site.does("get", who, KEYS.operation(SEALER, "action"), question)
     assert (answered == []) is site.secure
-    assert site.sealer.journal.epoch == (epoch if site.secure else epoch + 5)
+    assert site.sealer.journal.memory.epoch == (epoch if site.secure else epoch + 5)
 
 
 @pytest.mark.parametrize("mode", ["peer", "router"])

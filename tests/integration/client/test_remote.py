@@ -13,7 +13,7 @@ import pytest
 
 from labos.bootstrap import LabThread, descriptions
 from labos.cli._exit import DONE, FAILED
-from labos.cli._remote import FOLDER
+from labos.cli._remote import expect_folder, expect_folder_or_database
 from labos.cli.app import main
 from labos.client import LabClient, LabLog
 from labos.ports import LogQuery
@@ -142,6 +142,13 @@ REFUSED_BY_THE_LAB = {
 """What this lab cannot do, says itself."""
 
 CAMPAIGN = "labos: 1\ncampaign: c\nworkflow: pcr\nrows: {list: [{seal.time: 2}, {seal.time: 3}]}\n"
+
+FOLDER = {
+    path
+    for path, command, _ in commands()
+    if {option.callback for option in command.params} & {expect_folder, expect_folder_or_database}
+}
+"""The commands that need the folder of a lab."""
 
 
 @pytest.fixture(scope="module")

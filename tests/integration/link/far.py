@@ -13,11 +13,11 @@ Hear = Callable[[bytes], None]
 
 class Answering:
     """Hears whole lines and answers each with what ``script`` says for it: a bytes object, or
-    a function that is called. ``heard`` is what came, ``said`` is set after each answer."""
+    a function that is called. ``received`` is what came, ``said`` is set after each answer."""
 
     def __init__(self, end: FarEnd, script: dict[bytes, bytes | Callable[[], None]], stop: bytes) -> None:
         self.end, self.script, self.stop = end, script, stop
-        self.heard: list[bytes] = []
+        self.received: list[bytes] = []
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, daemon=True)
         self._thread.start()
@@ -28,7 +28,7 @@ class Answering:
             buffer += self.end.read(0.02)
             while self.stop in buffer:
                 line, _, buffer = buffer.partition(self.stop)
-                self.heard.append(line)
+                self.received.append(line)
                 answer = self.script.get(line, b"")
                 if callable(answer):
                     answer()

@@ -95,9 +95,9 @@ def test_an_adapter_on_a_serial_port_and_its_end() -> None:
     link = CanLink(interface="slcan", channel=end.address, bitrate=125000, sleep_after_open=0)
 
     def adapter() -> None:
-        heard = b""
-        while b"t2011AB\r" not in heard:
-            heard += end.read(0.02)
+        received = b""
+        while b"t2011AB\r" not in received:
+            received += end.read(0.02)
         end.write(b"t18127788\r")
 
     thread = threading.Thread(target=adapter, daemon=True)
@@ -123,9 +123,9 @@ class Adapter:
         self._thread.start()
 
     def _work(self) -> None:
-        heard = b""
+        received = b""
         while not self._over.is_set():
-            *lines, heard = (heard + self.end.read(0.02)).split(b"\r")
+            *lines, received = (received + self.end.read(0.02)).split(b"\r")
             for line in lines:
                 self.end.write(self._answers.get(line, b""))
 
@@ -153,10 +153,10 @@ def at(adapter: Adapter, **more: Any) -> SdoLink:
 
 def test_emergencies_are_told(adapter: Adapter) -> None:
     adapter._answers[ASKED_6041] = b"t08581186010000000000\r" + STATUS
-    heard: list[bytes] = []
-    link = at(adapter, emergency=heard.append)
+    received: list[bytes] = []
+    link = at(adapter, emergency=received.append)
     assert link.upload(0x6041) == b"\x27\x02"
-    assert heard == [b"\x11\x86\x01\0\0\0\0\0"]
+    assert received == [b"\x11\x86\x01\0\0\0\0\0"]
     link.close()
 
 

@@ -79,7 +79,7 @@ def test_asks_and_hears(link: Link, end: FarEnd) -> None:
     with answer_on(end, {b"T?": b"T 22.5\r\n", b"H?": b"H 40\r\n"}) as device:
         assert link.exchange(b"T?") == b"T 22.5"
         assert link.exchange(b"H?") == b"H 40"
-        assert device.heard == [b"T?", b"H?"]
+        assert device.received == [b"T?", b"H?"]
 
 
 def test_silence_is_no_reply_and_takes_no_longer_than_allowed(link: Link, end: FarEnd) -> None:
@@ -153,7 +153,7 @@ def test_comes_back_by_itself_and_does_not_hammer(link: Link, end: FarEnd) -> No
         end.plug()
         link.open(patience_s=5)
         assert link.exchange(b"T?") == b"T 22.5"
-        assert device.heard == [b"T?", b"T?"]
+        assert device.received == [b"T?", b"T?"]
 
 
 def test_another_device_at_the_same_address(wire: Wire, end: FarEnd) -> None:
@@ -167,7 +167,7 @@ def test_another_device_at_the_same_address(wire: Wire, end: FarEnd) -> None:
         with pytest.raises(WrongDevice, match="sealer 17 was expected, but peeler 4 answers") as told:
             link.open(patience_s=5)
         assert told.value.effects == "none"
-        assert device.heard == [b"WHO", b"GO", b"WHO"]
+        assert device.received == [b"WHO", b"GO", b"WHO"]
     link.close()
 
 
@@ -178,7 +178,7 @@ def test_who_does_not_say_who_it_is_is_not_asked_anything(wire: Wire, end: FarEn
         pytest.raises(NotConnected, match="does not identify itself"),
     ):
         link.exchange(b"GO")
-    assert device.heard == [b"WHO"]
+    assert device.received == [b"WHO"]
 
 
 def test_every_error_of_a_wire_is_one_of_the_device() -> None:

@@ -292,7 +292,7 @@ class Bench:
         server = NodeServer(arm, bus, LAB, journal, SystemClock(), Uuid7Ids(), **options)
         self._stack.push_async_callback(server.close)
         await server.start()
-        self.kernel.journal = journal.id
+        self.kernel.journal = journal.memory.id
         return server
 
 

@@ -105,8 +105,11 @@ class Fuzz:
         args: dict[str, Any] = {"how": self.rng.choice(HOWS)} if name == "fail" else {}
         action, attempt = f"a{self.rng.randint(1, 400)}", self.rng.randint(1, 3)
         # As a kernel counts on, whatever the messages before have done: else all would be fenced soon.
-        epoch, position = self.journal.epoch or 1, self.journal.pruned + self.rng.randint(-2, 40)
-        start = Start(LAB, epoch, self.journal.id, action, attempt, position, name, args)
+        epoch, position = (
+            self.journal.memory.epoch or 1,
+            self.journal.memory.pruned + self.rng.randint(-2, 40),
+        )
+        start = Start(LAB, epoch, self.journal.memory.id, action, attempt, position, name, args)
         message: Any = self.rng.choice(
             [
                 start,
@@ -154,7 +157,7 @@ async def fuzz(here: Bench, seed: int, count: int) -> NodeServer:
         answer = await here.kernel.bus.query(keys.operation(MODULE, operation), payload, 10.0)
         reply = msgspec.json.decode(answer, type=ANSWERS[operation])
         told[getattr(reply, "status", operation) if operation in ("action", "reset") else operation] += 1
-    print(f"seed {seed}: {dict(told)}, {len(server.journal.open_attempts())} attempts in the journal")
+    print(f"seed {seed}: {dict(told)}, {len(server.journal.memory.list_attempts())} attempts in the journal")
     assert not server.journal.broken
     assert told["finished"] + told["accepted"] > count / 20  # else it was no trial
     return server
@@ -163,11 +166,11 @@ async def fuzz(here: Bench, seed: int, count: int) -> NodeServer:
 async def bring_back(here: Bench, server: NodeServer) -> None:
     """Out of what the messages have done to it: stopped, told of a position far ahead."""
     kernel = here.kernel
-    kernel.epoch = server.journal.epoch
-    assert (await kernel.admin("rewind", position=min(server.journal.pruned, 10**9))).done
+    kernel.epoch = server.journal.memory.epoch
+    assert (await kernel.admin("rewind", position=min(server.journal.memory.pruned, 10**9))).done
     server.stopping.clear()
-    recovery = f"r{server.journal.pruned}.{kernel.epoch}.{time.monotonic_ns()}"
-    start = Start(LAB, kernel.epoch, kernel.journal, recovery, 1, server.journal.pruned + 1, "reset")
+    recovery = f"r{server.journal.memory.pruned}.{kernel.epoch}.{time.monotonic_ns()}"
+    start = Start(LAB, kernel.epoch, kernel.journal, recovery, 1, server.journal.memory.pruned + 1, "reset")
     reply = await kernel.bus.query(kernel.keys.operation(MODULE, "reset"), msgspec.json.encode(start), 5.0)
     assert msgspec.json.decode(reply, type=ActionReply).status in ("finished", "accepted"), reply
 
@@ -177,7 +180,7 @@ async def works_still(here: Bench) -> None:
     server = await here.node()
     await bring_back(here, server)
     kernel, before = here.kernel, len(here.world.motions("wave"))
-    start = Start(LAB, kernel.epoch, kernel.journal, "last", 1, server.journal.pruned + 1, "wave")
+    start = Start(LAB, kernel.epoch, kernel.journal, "last", 1, server.journal.memory.pruned + 1, "wave")
     assert (await kernel.send(start)).status == "finished"
     assert len(here.world.motions("wave")) == before + 1
 

@@ -107,7 +107,7 @@ from labos.node.protocol import Outcome
 module.COMPACT_BYTES = 3000
 async def main():
     journal = await module.Journal.open(FileJournalFile(sys.argv[1]), Uuid7Ids())
-    first = max([int(a.action) for a in journal.open_attempts()], default=journal.pruned) + 1
+    first = max([int(a.action) for a in journal.memory.list_attempts()], default=journal.memory.pruned) + 1
     for n in range(first, first + 100000):
         journal.accept(str(n), 1, n, "work")
         await journal.sync()
@@ -130,9 +130,9 @@ def test_a_journal_whose_process_is_killed_while_it_writes(tmp_path: Path) -> No
         try:
             for line in said:
                 verb, number = line.split()
-                if journal.is_forgotten(int(number)):
+                if journal.memory.is_forgotten(int(number)):
                     continue
-                attempt = journal.find(number, 1)
+                attempt = journal.memory.find(number, 1)
                 assert attempt is not None, line
                 assert verb == "accepted" or attempt.status == "finished", line
         finally:

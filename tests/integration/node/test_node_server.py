@@ -277,7 +277,7 @@ def test_the_devices_own_handle_is_journalled(check: Check) -> None:
     async def scenario(here: Bench) -> None:
         server = await here.node()
         await here.kernel.start("a1", "with_handle")
-        await until(lambda: any(a.handle for a in server.journal.open_attempts()))
+        await until(lambda: any(a.handle for a in server.journal.memory.list_attempts()))
         await server.close()
         await here.node()
         about = await here.kernel.about()
@@ -498,7 +498,9 @@ def test_a_reset_is_journalled_and_carried_out_once(check: Check) -> None:
         arm_of(server).go_reset.clear()
         replies = await asyncio.gather(*(kernel.reset("a2") for _ in range(5)), kernel.start("a2", "reset"))
         assert sorted(reply.status for reply in replies) == ["accepted"] + ["running"] * 5
-        assert [(a.name, a.status) for a in server.journal.open_attempts()][1:] == [("reset", "running")]
+        assert [(a.name, a.status) for a in server.journal.memory.list_attempts()][1:] == [
+            ("reset", "running")
+        ]
         assert (await kernel.state()).status == "ERROR"
         assert "busy: reset (a2)" in (await kernel.reset("a3")).why
         arm_of(server).go_reset.set()

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from labos.cli.app import group
 from labos.clock import Uuid7Ids
 from labos.errors import LabosError
-from labos.node.journal import Journal
+from labos.node.journal import Journal, Memory, read_journal
 from labos.node.journal_file import FileJournalFile
 from labos.node.protocol import Outcome
 from tests.integration.node.bench import LAB, Bench
@@ -42,8 +42,8 @@ def reset_epoch(home: Path, *options: str, code: int = 0) -> str:
     return told
 
 
-def read(path: Path) -> Journal:
-    return Journal.read(path.read_bytes())
+def read(path: Path) -> Memory:
+    return read_journal(path.read_bytes())
 
 
 def test_an_absurd_epoch_is_put_right_and_what_was_done_stays(tmp_path: Path) -> None:
@@ -58,8 +58,8 @@ def test_an_absurd_epoch_is_put_right_and_what_was_done_stays(tmp_path: Path) ->
     assert f"epoch 8, acknowledged up to position 0 (it was epoch {2**62}" in told
     after = read(path)
     assert after.epoch == 8
-    assert [(a.action, a.status, a.outcome) for a in after.open_attempts()] == [("a1", "finished", DONE)]
-    for line in (path.read_text(), "".join(str(c) for c in after.memory.corrections)):
+    assert [(a.action, a.status, a.outcome) for a in after.list_attempts()] == [("a1", "finished", DONE)]
+    for line in (path.read_text(), "".join(str(c) for c in after.corrections)):
         assert "ada" in line
         assert "a script sent 2^62" in line
 

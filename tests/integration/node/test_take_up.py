@@ -80,7 +80,7 @@ async def robot(here: Bench, device: Device) -> AsyncIterator[NodeServer]:
         server = NodeServer(node, bus, LAB, journal, SystemClock(), Uuid7Ids(), **quick)  # type: ignore[arg-type]
         stack.push_async_callback(server.close)
         await server.start()
-        here.kernel.journal = journal.id
+        here.kernel.journal = journal.memory.id
         yield server
 
 

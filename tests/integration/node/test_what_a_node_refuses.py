@@ -63,7 +63,7 @@ def test_an_epoch_that_no_kernel_has_is_refused_and_not_kept(check: Check, bound
             await kernel.start("a1")
             await server.journal.sync()
         before = on_disk(here)
-        for epoch in (server.journal.epoch + EPOCH_JUMP + 1, *ABSURD):
+        for epoch in (server.journal.memory.epoch + EPOCH_JUMP + 1, *ABSURD):
             for message in (
                 Start(LAB, epoch, kernel.journal, "a2", 1, 21, "wave"),
                 Ask(LAB, epoch, "a3", 1, 31, void=True),
@@ -94,7 +94,7 @@ def test_a_node_that_belongs_to_nobody_yet_is_not_bound_by_another_lab(check: Ch
     async def scenario(here: Bench) -> None:
         server = await here.node()
         before = on_disk(here)
-        reply = await here.kernel.send(Start("another", 1, server.journal.id, "a1", 1, 11, "wave"))
+        reply = await here.kernel.send(Start("another", 1, server.journal.memory.id, "a1", 1, 11, "wave"))
         assert reply.status == "fenced"
         assert on_disk(here) == before
         assert (await here.kernel.start("a1")).status == "finished"
@@ -143,7 +143,7 @@ def test_what_may_be_acknowledged_is_known_after_pruning_and_restarts(check: Che
             await kernel.ask("a1", void=True)
             await server.close()
             server = await here.node()
-            assert server.journal.seen == 71
+            assert server.journal.memory.seen == 71
 
     check(scenario)
 

@@ -36,7 +36,7 @@ from labos.store import (
     verify_backup,
     write_segment,
 )
-from tests.integration.store.records import LAB, LEASE_S
+from tests.integration.store.records import LAB, LEASE_S, raw
 
 Open = Callable[..., SqlEventStore]
 KEY = b"k" * 32
@@ -184,6 +184,20 @@ def test_another_labs_backup_and_a_cut_log_are_refused(tmp_path: Path, opened: O
     (tmp_path / "full" / "thesis.tex").touch()
     with pytest.raises(Refused, match="other files"):
         backup(one, blobs, tmp_path / "full")
+
+
+@pytest.mark.parametrize("kept", [0, 3], ids=["nothing", "some"])
+def test_a_log_that_has_lost_its_end_is_not_backed_up(tmp_path: Path, opened: Open, kept: int) -> None:
+    url = f"sqlite:///{tmp_path / 'lab.db'}"
+    store = opened(url)
+    end = Writing(store).write(notes(4)).position
+    with raw(url) as database:
+        database.disarm()
+        database.run("DELETE FROM event WHERE position > ?", kept)
+    with pytest.raises(LogDamaged, match=f"ends at {kept}, but its head says {end}") as found:
+        backup(store, FolderBlobs(tmp_path / "blobs"), tmp_path / "safe")
+    assert found.value.position == kept + 1
+    assert not (tmp_path / "safe" / "backup.json").exists()
 
 
 @pytest.mark.parametrize("key", [b"", KEY], ids=["bare", "sealed"])

@@ -134,7 +134,7 @@ def test_another_labs_segment_is_refused(safe: Safe) -> None:
     events: list[Event] = [LabCreated(LabId("lab-2"), "other"), *notes(20)]
     records: list[Record] = [ledger.write(event, "ada").record for event in events]
     mine = safe.made.segments[1]
-    digest = write_segment(safe.path(1), records[mine.first - 1 : mine.last])
+    digest, _ = write_segment(safe.path(1), records[mine.first - 1 : mine.last])
     assert "holds a record of the lab lab-2" in safe.damage(safe.key).message
     before, last = records[mine.first - 2].hash.hex(), records[mine.last - 1].hash.hex()
     safe.change(1, lab="lab-2", before=before, hash=last, sha256=digest)

@@ -14,9 +14,10 @@ from click.testing import CliRunner
 from labos.bootstrap import descriptions, open_lab
 from labos.cli.verify import command as verify
 from labos.node.journal_file import FileJournalFile
+from labos.private import tighten
 from labos.settings import Settings
 from labos.spec import find_spec, load_workcell
-from labos.store import FolderBlobs, backup, open_store, tighten
+from labos.store import FolderBlobs, backup, open_store
 from tests.integration.store.records import hear_journal, write_records
 from tests.unit.services.logbook import two_users
 

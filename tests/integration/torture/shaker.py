@@ -126,24 +126,24 @@ class ShakerOnLine(DeviceOnLine):
     def obey(self, line: str) -> None:
         match line.split():
             case ["STAT"]:
-                self.tell(self.state)
+                self.send_line(self.state)
             case ["COUNT"]:
-                self.tell(f"{self.count}")
+                self.send_line(f"{self.count}")
             case ["GREASE"]:
-                self.tell(f"{self.world.find_level(self.name, 'grease'):g}")
+                self.send_line(f"{self.world.find_level(self.name, 'grease'):g}")
             case ["HALT" | "RESET" as order]:
                 halted = self.state == "BUSY" and order == "HALT"
                 self.forget_plans()
                 self.state = "HALTED" if halted else "IDLE"
-                self.tell("OK")
+                self.send_line("OK")
             case ["SHAKE" | "OIL", *_] if self.state != "IDLE" or self.locked:
-                self.tell("LOCKED")
+                self.send_line("LOCKED")
             case ["SHAKE", speed, seconds]:
                 self._begin(float(seconds), lambda: self._end_shake(float(speed), float(seconds)))
             case ["OIL", tenths]:
                 self._begin(20, lambda: self._end_oil(float(tenths) / 10))
             case _:
-                self.tell("WHAT")
+                self.send_line("WHAT")
 
     def fail(self, state: str) -> None:
         """It stands still, as over a blocked drive, if it was moving."""
@@ -157,7 +157,7 @@ class ShakerOnLine(DeviceOnLine):
     def _begin(self, seconds: float, end: Any) -> None:
         self.after(2, lambda: setattr(self, "state", "BUSY"))
         self.after(2 + seconds, end)
-        self.tell("OK")
+        self.send_line("OK")
 
     def _end_shake(self, speed_rpm: float, time_s: float) -> None:
         self.world.use(self.name, "grease", 1)

@@ -14,7 +14,7 @@ from labos.core.registry import decode
 from labos.core.shorter import LogFoundShorter
 from labos.core.state import LabState, hash_state
 from labos.errors import LabosError
-from labos.node.journal import Journal
+from labos.node.journal import read_journal
 from labos.ports import Handler
 from labos.testing.bus import Network
 from labos.testing.lab import SimulatedLab
@@ -113,7 +113,7 @@ def once(lab: SimulatedLab) -> Iterator[str]:
         if count > 1:
             yield f"{action} ended {count} times"
     for name, data in lab.disk.items():
-        for attempt in Journal.read(data).open_attempts():
+        for attempt in read_journal(data).list_attempts():
             if attempt.action not in asked:
                 yield f"the journal of {name} holds {attempt.action}, which nobody asked for"
 

@@ -115,11 +115,13 @@ def _in_transaction() -> None:
     """Between the head's move and the rows, or while the server waits for more rows (of a pipeline, of a
     COPY), on PostgreSQL: the head row is locked."""
     from labos.store import _postgres
+    from labos.store._words import NOTHING
 
     insert = _postgres._insert
 
-    def crashing_insert(cursor: Any, rows: Any) -> None:
+    def crashing_insert(cursor: Any, rows: Any, beside: Any) -> None:
         reach("kernel.in_commit")
+        insert(cursor, (), beside)
         if "kernel.in_pipeline" in POINTS:
             with cursor.connection.pipeline():
                 cursor.executemany(_postgres._INSERT, rows)
@@ -133,7 +135,7 @@ def _in_transaction() -> None:
                 for row in rows:
                     copy.write_row(row)
             return
-        insert(cursor, rows)
+        insert(cursor, rows, NOTHING)
 
     _postgres._insert = crashing_insert
 

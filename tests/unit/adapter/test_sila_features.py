@@ -124,6 +124,7 @@ def test_values_come_back_as_they_went(kind: Any, value: Any, back: Any) -> None
         (Basic("Any"), 1),
         (Basic("Binary"), b"x" * (LARGEST_INLINE + 1)),
         (ListOf(Basic("String")), "abc"),
+        (ListOf(ListOf(Basic("String"))), [["a"]]),
         (Structure((Element("X", Basic("Real")),)), {"Y": 1.0}),
     ],
 )

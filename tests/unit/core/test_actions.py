@@ -158,7 +158,7 @@ def test_all_effects_take_place() -> None:
     lab.step(run, 1)
     assert lab.state.bench.labware["P1"].variables == {"sealed": True}  # type: ignore[index]
     dev = lab.state.modules.by_name["cell/dev"]  # type: ignore[index]
-    assert (dev.variables, dev.at_rest) == ({"lid": Variable("closed", "R1")}, False)
+    assert (dev.variables, [*dev.list_away_from_rest()]) == ({"lid": Variable("closed", "R1")}, ["lid"])
     assert lab.state.resources.find_left("cell/dev", "tips") == 6.0  # type: ignore[arg-type]
     assert lab.code(run, 2) == "no_access"
 

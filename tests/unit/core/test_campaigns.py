@@ -57,7 +57,7 @@ class Lab:
     def feed(self) -> list[str]:
         """Submit rows as long as there is room."""
         first = self.lab.state.runs.named
-        while C1 in self.lab.state.campaigns.open and self.campaign.takes_rows:
+        while C1 in self.lab.state.campaigns.open and self.campaign.room:
             answer = self.lab.ask(self.row(self.campaign.next_row))
             if isinstance(answer, Rejection):
                 assert answer.code == "no_room"

@@ -14,7 +14,6 @@ from labos.core.ids import InterventionId, ModuleName, RunId
 from labos.core.model import PlanStep
 from labos.core.resources import LevelSet, ResourceReplenished
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from tests.support.bench import Driver, consumes, full, plan, small, small_cell, step
 
 DEV = ModuleName(full("dev"))
@@ -46,8 +45,8 @@ def test_a_pack_is_good_through_its_day_and_no_longer() -> None:
     found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("expired", True)
-    assert describe_wait(found) == f"foil of dev has expired (lot A, on {today(lab, -1)})"
-    assert find_remedy(found).endswith("labos replenish dev foil --lot LOT --instead")
+    assert found.reason.sentence == f"foil of dev has expired (lot A, on {today(lab, -1)})"
+    assert found.reason.remedy.endswith("labos replenish dev foil --lot LOT --instead")
     assert lab.reject(lab.start_command(run, 1)).code == "expired"
     lab.do(Replenish(DEV, "foil", 0, "B", today(lab, 30), True, today(lab)))
     assert [(lot.name, lot.left) for lot in lab.state.resources.levels[f"{DEV}:foil"].lots] == [("B", 100)]

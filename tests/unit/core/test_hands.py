@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.planning.obstacle import find_obstacle
 from tests.support.bench import Driver, module, move, plan, route, station, step, take, workcell
 
@@ -40,7 +39,7 @@ def test_while_its_hand_is_full_an_arm_only_puts_that_down() -> None:
         found = lab.check_start(run)
         assert isinstance(found, Wait)
         assert found.code in ("hand_full", "nothing_there")
-    assert describe_wait(lab.check_start("R2")) == "the hand of arm holds P1"  # type: ignore[arg-type]
+    assert lab.check_start("R2").reason.sentence == "the hand of arm holds P1"  # type: ignore[union-attr]
     assert lab.code(lab.submit(plan(step("arm")))) == "", "what carries nothing needs no hand"
     assert lab.code(lab.submit(route("stack", "c", arm="arm2"))) == "", "other hands are free"
     lab.step(held, 1)

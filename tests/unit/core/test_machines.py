@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import pytest
 
 from labos.core.actions import ActionStatus
-from labos.core.machines import MACHINES, list_arrows
 from labos.core.modules import ModuleStatus
 from labos.core.registry import Event, decode
 from labos.core.runs import RunStatus, StepStatus
 from tests.golden.test_golden import NAMES, log
+from tests.support.machines import MACHINES, list_arrows
 from tests.support.transitions import Found, transitions
 from tests.unit.core.test_any_order import live_through
 

@@ -7,14 +7,8 @@ from msgspec.json import decode, encode
 from labos.core.effects import Move
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import PlanStep
-from labos.core.plans import (
-    PlanRecorded,
-    Plans,
-    PlanStepsRecorded,
-    plan_recorded,
-    plan_steps_recorded,
-    share_plans,
-)
+from labos.core.plans import PlanRecorded, Plans, PlanStepsRecorded, share_plans
+from labos.core.runs import Runs, fold_plan_recorded, fold_plan_steps_recorded
 
 CARRY = PlanStep(
     key="carry",
@@ -29,13 +23,13 @@ def seal(time: object) -> PlanStep:
 
 
 def fold_plans(**plans: tuple[PlanStep, ...]) -> Plans:
-    state: Plans = {}
+    runs = Runs()
     for name, steps in plans.items():
-        plan_recorded(state, PlanRecorded("run:1", name, "shape", "w", "rpl", len(steps), (), {}))
+        fold_plan_recorded(runs, PlanRecorded("run:1", name, "shape", "w", "rpl", len(steps), (), {}), 0)
         # as they come from the log: values of their own
         copies = tuple(PlanStep(**{f: getattr(s, f) for f in s.__struct_fields__}) for s in steps)
-        plan_steps_recorded(state, PlanStepsRecorded("run:1", name, 0, copies))
-    return state
+        fold_plan_steps_recorded(runs, PlanStepsRecorded("run:1", name, 0, copies), 0)
+    return runs.plans
 
 
 def test_steps_that_are_written_the_same_are_held_once() -> None:

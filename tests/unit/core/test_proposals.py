@@ -81,7 +81,7 @@ def codes(lab: Driver, subject: str) -> list[str]:
 
 def feed(lab: Driver, what: Plan | None = None) -> list[str]:
     """Rows of C1, as long as it takes any."""
-    while C1 in lab.state.campaigns.open and lab.state.campaigns.open[C1].takes_rows:
+    while C1 in lab.state.campaigns.open and lab.state.campaigns.open[C1].room:
         campaign = lab.state.campaigns.open[C1]
         lab.do(SubmitRow(C1, campaign.next_row, what or work()))
     return [str(run) for run in lab.state.campaigns.open[C1].runs]

@@ -10,7 +10,6 @@ from labos.core.ids import ModuleName
 from labos.core.model import Retry
 from labos.core.modules import Module
 from labos.core.registry import Event
-from labos.planning.explain import describe_wait, find_remedy
 from labos.settings import FAILURES_KNOWN
 from tests.support.bench import Driver, plan, small, step
 
@@ -47,8 +46,8 @@ def test_three_failures_are_too_many() -> None:
     waiting = lab.submit(plan(step("dev")))
     wait = lab.check_start(waiting)
     assert lab.code(waiting) == "out_of_service"
-    assert "at last: no foil" in describe_wait(wait)  # type: ignore[arg-type]
-    assert "labos in-service dev" in find_remedy(wait)  # type: ignore[arg-type]
+    assert "at last: no foil" in wait.reason.sentence  # type: ignore[union-attr]
+    assert "labos in-service dev" in wait.reason.remedy  # type: ignore[union-attr]
     lab.do(PutBack(DEV))
     assert lab.code(waiting) == ""
     assert (judge(lab), dev(lab).failures) == ([], []), "it starts afresh"

@@ -29,7 +29,6 @@ from labos.core.lab import LEAP
 from labos.core.modules import ModuleTakenOut, VariableSet
 from labos.core.topics import DiscoveredAction
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from tests.support.bench import Driver, full, move, needs, plan, small, step, take
 
 ARM, DEV = ModuleName("cell/arm"), ModuleName("cell/dev")
@@ -84,11 +83,11 @@ def test_nothing_starts_and_checked_is_no_answer_until_all_was_said() -> None:
     assert lab.code(run, 1) == lab.code(other) == "log_shorter"
     wait = lab.check_start(other)
     assert isinstance(wait, Wait)
-    assert describe_wait(wait) == (
+    assert wait.reason.sentence == (
         f"this log ends at {lab.state.shorter.ended} and arm knows more: "
         "nothing starts until the whole bench has been checked"
     )
-    assert find_remedy(wait).endswith("labos bench round")
+    assert wait.reason.remedy.endswith("labos bench round")
     question = lab.question("log_shorter")
     refusal = lab.reject(ResolveIntervention(question.id, "checked", "ada"))
     assert refusal.code == "unsaid"

@@ -6,7 +6,6 @@ from labos.core.decide.stock import UnloadStation
 from labos.core.ids import StationName
 from labos.core.labware import StationUnloaded
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.obstacle import find_obstacle
 from tests.support.bench import Driver, full, route, small
 
@@ -25,8 +24,8 @@ def test_a_full_waste_says_what_to_do_and_goes_on_when_it_was_emptied() -> None:
     found = lab.check_start(run, 1)
     assert isinstance(found, Wait)
     assert (found.code, found.blocked) == ("waste_full", True)
-    assert describe_wait(found) == "the waste trash is full"
-    assert find_remedy(found) == "Empty it and report that: labos unload trash --all"
+    assert found.reason.sentence == "the waste trash is full"
+    assert found.reason.remedy == "Empty it and report that: labos unload trash --all"
     assert lab.pump() == []
     lab.do(UnloadStation(TRASH, "ada"))
     assert lab.state.bench.stations[TRASH].level == 0

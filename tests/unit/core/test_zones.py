@@ -5,7 +5,6 @@ from __future__ import annotations
 from labos.core.decide.nodes import ReportState
 from labos.core.ids import ModuleName
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.timetable import make_timetable
 from tests.support.bench import Driver, module, move, needs, plan, route, station, step, workcell
 
@@ -41,7 +40,7 @@ def test_an_arm_stays_out_while_another_is_in_the_zone() -> None:
     first = lab.start(lab.submit(route("stack", "a", "e")))
     other = lab.submit(route("b", "c", arm="arm2"))
     assert wait(lab, other).names == ("cell/arm", Z)
-    assert describe_wait(wait(lab, other)) == "arm is working in the zone z"
+    assert wait(lab, other).reason.sentence == "arm is working in the zone z"
     assert lab.code(lab.submit(route("c", "d", arm="arm2"))) == "nothing_there"
     lab.finish(first)
     assert lab.code(other) == ""
@@ -85,7 +84,7 @@ def test_an_arm_that_failed_bars_the_zone_until_it_is_idle() -> None:
     other = lab.submit(route("stack", "a", arm="arm2"))
     found = wait(lab, other)
     assert (found.code, found.names, found.blocked) == ("zone_barred", ("cell/arm", Z), True)
-    assert find_remedy(found) == "Check it, then: labos reset arm"
+    assert found.reason.remedy == "Check it, then: labos reset arm"
     healed = lab.submit(plan(step("arm", action="reset", recovers=True)))
     lab.pump()
     assert lab.code(other) == "zone_barred", "the reset does not wait for the zone, others do"

@@ -14,7 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from labos.errors import JournalDamaged
 from labos.node import journal as module
 from labos.node._records import Opened, encode, write_line
-from labos.node.journal import Journal, JournalError, knows_more
+from labos.node.journal import Journal, JournalError, knows_more, read_journal
 from labos.node.protocol import Outcome
 from tests.unit.node.memory import Counter, MemoryFile
 
@@ -51,18 +51,18 @@ def test_a_journal_is_read_back() -> None:
         file = MemoryFile()
         first = await sample(file)
         again = await reopen(file)
-        assert (again.id, again.lab, again.epoch) == (first.id, "lab", 3)
-        a1, a2 = again.find("a1", 1), again.find("a2", 2)
+        assert (again.memory.id, again.memory.lab, again.memory.epoch) == (first.memory.id, "lab", 3)
+        a1, a2 = again.memory.find("a1", 1), again.memory.find("a2", 2)
         assert a1 is not None
         assert (a1.status, a1.outcome, a1.handle) == ("finished", DONE, "device-7")
         assert a2 is not None
         assert (a2.status, a2.name) == ("interrupted", "seal")
-        assert again.is_void("a3", 4)
-        assert again.is_void("a3", 1)
-        assert not again.is_void("a3", 5)
-        assert again.is_void("a2", 1)
-        assert again.find_earlier("a2", 3) is a2
-        assert [u.status for u in again.list_unacknowledged()] == ["finished", "interrupted"]
+        assert again.memory.is_void("a3", 4)
+        assert again.memory.is_void("a3", 1)
+        assert not again.memory.is_void("a3", 5)
+        assert again.memory.is_void("a2", 1)
+        assert again.memory.find_earlier("a2", 3) is a2
+        assert [u.status for u in again.memory.list_unacknowledged()] == ["finished", "interrupted"]
 
     run(main())
 
@@ -92,24 +92,24 @@ def test_prune_forgets_all_but_what_runs_and_refuses_the_old() -> None:
         journal = await sample(file)
         journal.prune(12)
         await journal.sync()
-        assert journal.is_forgotten(12)
-        assert not journal.is_forgotten(13)
-        assert journal.find("a1", 1) is None
-        assert not journal.is_void("a3", 4)
-        running = journal.find("a2", 2)
+        assert journal.memory.is_forgotten(12)
+        assert not journal.memory.is_forgotten(13)
+        assert journal.memory.find("a1", 1) is None
+        assert not journal.memory.is_void("a3", 4)
+        running = journal.memory.find("a2", 2)
         assert running is not None
         assert running.status == "running"
         journal.end("a2", 2, DONE)
-        assert journal.find("a2", 2) is not None
+        assert journal.memory.find("a2", 2) is not None
         journal.prune(12)
-        assert journal.find("a2", 2) is None
+        assert journal.memory.find("a2", 2) is None
         await journal.sync()
         writes = file.writes
         journal.prune(12)
         journal.prune(3)
         await journal.sync()
         assert file.writes == writes
-        assert (await reopen(file)).pruned == 12
+        assert (await reopen(file)).memory.pruned == 12
 
     run(main())
 
@@ -124,7 +124,7 @@ def test_a_rewound_journal_takes_requests_again_from_there_on() -> None:
         journal.rewind(60)
         journal.rewind(20)
         await journal.sync()
-        for again in (journal, await reopen(file), Journal.read(file.data)):
+        for again in (journal.memory, (await reopen(file)).memory, read_journal(file.data)):
             assert (again.pruned, again.pruned_by) == (20, 1000)
             assert again.is_forgotten(20)
             assert not again.is_forgotten(21)
@@ -157,7 +157,7 @@ def test_what_was_interrupted_and_pruned_does_not_come_back() -> None:
         second.prune(12)
         await second.sync()
         third = await reopen(file)
-        assert third.open_attempts() == []
+        assert third.memory.list_attempts() == []
 
     run(main())
 
@@ -180,8 +180,10 @@ def test_a_grown_journal_is_compacted(monkeypatch: pytest.MonkeyPatch) -> None:
         assert largest < 8000
         assert file.replaced > 5
         again = await reopen(file)
-        assert [a.action for a in again.open_attempts()] == [a.action for a in journal.open_attempts()]
-        assert (again.id, again.lab, again.pruned) == (journal.id, "lab", 494)
+        assert [a.action for a in again.memory.list_attempts()] == [
+            a.action for a in journal.memory.list_attempts()
+        ]
+        assert (again.memory.id, again.memory.lab, again.memory.pruned) == (journal.memory.id, "lab", 494)
 
     run(main())
 
@@ -207,7 +209,7 @@ def test_writes_that_wait_share_one_sync() -> None:
         file.gate.set()
         await asyncio.gather(*tasks[1:])
         assert file.writes == writes + 2
-        assert len((await reopen(file)).open_attempts()) == 49
+        assert len((await reopen(file)).memory.list_attempts()) == 49
 
     run(main())
 
@@ -226,18 +228,18 @@ def test_a_disk_that_is_full_is_told_and_can_be_mended() -> None:
             await journal.sync()
         with pytest.raises(JournalError):
             await journal.mend()
-        assert (await reopen(MemoryFile(file.data))).find("a9", 1) is None
+        assert (await reopen(MemoryFile(file.data))).memory.find("a9", 1) is None
         file.fail = False
         await journal.mend()
         await journal.sync()
         journal.accept("a10", 1, 21, "work")
         await journal.sync()
         again = await reopen(file)
-        assert again.is_void("a9", 1)
-        ended = again.find("a2", 2)
+        assert again.memory.is_void("a9", 1)
+        ended = again.memory.find("a2", 2)
         assert ended is not None
         assert ended.status == "finished"
-        assert again.find("a10", 1) is not None
+        assert again.memory.find("a10", 1) is not None
 
     run(main())
 
@@ -253,7 +255,7 @@ def test_what_was_interrupted_stays_so_through_a_compaction(monkeypatch: pytest.
         assert file.replaced == before + 1
         second.prune(12)
         await second.sync()
-        assert (await reopen(file)).open_attempts() == []
+        assert (await reopen(file)).memory.list_attempts() == []
 
     run(main())
 
@@ -269,12 +271,12 @@ def test_the_last_record_torn_at_any_byte() -> None:
         for length in range(start, len(file.data)):
             torn = MemoryFile(file.data[:length])
             journal = await reopen(torn)
-            assert journal.find("a1", 1) is not None
+            assert journal.memory.find("a1", 1) is not None
             # Only the whole record counts, with or without the mark of its end.
-            assert journal.is_void("a3", 4) == (length >= len(file.data) - 1)
+            assert journal.memory.is_void("a3", 4) == (length >= len(file.data) - 1)
             journal.forbid_attempts("a8", 1, 30)
             await journal.sync()
-            assert (await reopen(torn)).is_void("a8", 1)
+            assert (await reopen(torn)).memory.is_void("a8", 1)
 
     run(main())
 
@@ -285,7 +287,7 @@ def test_sectors_of_zeros_at_the_end_are_a_torn_write() -> None:
         await sample(file)
         for tail in (b"\0" * 512, b"\0" * 100 + b'"position":12}]\n'):
             journal = await reopen(MemoryFile(file.data + tail))
-            assert journal.is_void("a3", 4)
+            assert journal.memory.is_void("a3", 4)
 
     run(main())
 
@@ -305,7 +307,7 @@ def test_damage_before_the_last_record_at_any_byte() -> None:
             data = bytearray(file.data)
             data[place] ^= 0x01
             if place == len(file.data) - 1:
-                assert (await reopen(MemoryFile(bytes(data)))).is_void("a3", 4)
+                assert (await reopen(MemoryFile(bytes(data)))).memory.is_void("a3", 4)
             else:
                 with pytest.raises(JournalDamaged):
                     await reopen(MemoryFile(bytes(data)))
@@ -423,16 +425,16 @@ class JournalMachine(RuleBasedStateMachine):
         if not hasattr(self, "journal"):
             return
         assert {
-            (a.action, a.attempt): (a.position, a.status) for a in self.journal.open_attempts()
+            (a.action, a.attempt): (a.position, a.status) for a in self.journal.memory.list_attempts()
         } == self.accepted
-        assert (self.journal.pruned, self.journal.epoch) == (self.pruned, self.epoch)
+        assert (self.journal.memory.pruned, self.journal.memory.epoch) == (self.pruned, self.epoch)
         for action in "abc":
             for attempt in range(1, 5):
                 expected = (action, attempt) not in self.accepted and (
                     attempt <= self.void.get(action, (0, 0))[0]
                     or any(a == action and n > attempt for a, n in self.accepted)
                 )
-                assert self.journal.is_void(action, attempt) == expected
+                assert self.journal.memory.is_void(action, attempt) == expected
 
     def teardown(self) -> None:
         if hasattr(self, "loop"):

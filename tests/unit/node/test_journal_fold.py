@@ -16,7 +16,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 
 from labos.node._memory import Memory
 from labos.node._records import write_line
-from labos.node.journal import Attempt, Journal, JournalError
+from labos.node.journal import Attempt, Journal, JournalError, read_journal
 from labos.node.protocol import Outcome
 from tests.unit.node.memory import Counter, MemoryFile
 
@@ -51,7 +51,7 @@ class FoldMachine(RuleBasedStateMachine):
         return self.loop.run_until_complete(coroutine)
 
     def attempts(self, *statuses: str) -> list[Attempt]:
-        return [attempt for attempt in self.journal.open_attempts() if attempt.status in statuses]
+        return [attempt for attempt in self.journal.memory.list_attempts() if attempt.status in statuses]
 
     def sync(self) -> None:
         self.wait(self.journal.sync())
@@ -109,11 +109,11 @@ class FoldMachine(RuleBasedStateMachine):
 
     # -- what keeps it -----------------------------------------------------------------------
 
-    @precondition(lambda self: self.journal.epoch or self.journal.pruned)
+    @precondition(lambda self: self.journal.memory.epoch or self.journal.memory.pruned)
     @rule(data=st.data())
     def correct(self, data: st.DataObject) -> None:
-        epoch = data.draw(st.integers(0, self.journal.epoch), "epoch")
-        position = data.draw(st.integers(0, self.journal.pruned), "position")
+        epoch = data.draw(st.integers(0, self.journal.memory.epoch), "epoch")
+        position = data.draw(st.integers(0, self.journal.memory.pruned), "position")
         self.journal.correct(epoch=epoch, position=position, by="ada", at_ns=1, why="a test")
 
     @rule()
@@ -175,16 +175,16 @@ TestFoldMachine.settings = settings(max_examples=60, stateful_step_count=40, dea
 
 @pytest.mark.parametrize("name", ["every_record", "compacted"])
 def test_an_older_journal_is_read_as_it_was_meant(name: str) -> None:
-    journal = Journal.read((JOURNALS / f"{name}.journal").read_bytes())
+    journal = read_journal((JOURNALS / f"{name}.journal").read_bytes())
     assert (journal.id, journal.lab, journal.epoch) == ("j1", "lab", 1000)
     assert (journal.pruned, journal.pruned_by) == (13, 1000)
-    assert {a.action: (a.attempt, a.position, a.name) for a in journal.open_attempts()} == {
+    assert {a.action: (a.attempt, a.position, a.name) for a in journal.list_attempts()} == {
         "a2": (2, 11, "seal"),
         "a6": (1, 15, "work"),
         "a7": (2, 16, "peel"),
     }
     assert journal.is_void("a8", 1) == (name == "compacted")
-    assert {a.outcome for a in journal.open_attempts()} == {None}
+    assert {a.outcome for a in journal.list_attempts()} == {None}
 
 
 def test_an_older_journal_that_could_not_be_opened_any_more_is_opened() -> None:
@@ -194,16 +194,16 @@ def test_an_older_journal_that_could_not_be_opened_any_more_is_opened() -> None:
         file = MemoryFile((JOURNALS / "taken_up_and_pruned.journal").read_bytes())
         for _ in range(2):
             journal = await Journal.open(file, Counter("other"))
-            ended = journal.find("a1", 1)
+            ended = journal.memory.find("a1", 1)
             assert ended is not None
             assert (ended.status, ended.handle) == ("finished", "device-8")
             assert ended.outcome == Outcome(True, "all", {"n": 1}, "", 5, 6)
-            assert journal.pruned == 20
+            assert journal.memory.pruned == 20
             journal._compact_at = 0
-            journal.raise_epoch(journal.epoch + 1)
+            journal.raise_epoch(journal.memory.epoch + 1)
             await journal.sync()
         journal.prune(20)
-        assert journal.open_attempts() == []
+        assert journal.memory.list_attempts() == []
 
     asyncio.run(main())
 
@@ -215,11 +215,11 @@ def test_what_cannot_be_written_is_not_remembered() -> None:
         journal.accept("a1", 1, 10, "work")
         with pytest.raises(ValueError, match="surrogates"):
             journal.end("a1", 1, Outcome(False, "none", error="the device said \ud800"))
-        running = journal.find("a1", 1)
+        running = journal.memory.find("a1", 1)
         assert running is not None
         assert running.status == "running"
         await journal.sync()
         assert not journal.broken
-        assert Journal.read(file.data).memory == journal.memory
+        assert read_journal(file.data) == journal.memory
 
     asyncio.run(main())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from labos.core.decide.runs import PauseRun
 from labos.core.model import Plan
-from labos.planning.explain import describe_wait
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
 
@@ -66,7 +65,7 @@ def one_comes(lab: Driver) -> list[str]:
 
 def why(lab: Driver, run: str) -> str:
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
-    return describe_wait(wait)
+    return wait.reason.sentence
 
 
 def test_whoever_would_block_the_shared_place_waits_outside() -> None:

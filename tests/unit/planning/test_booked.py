@@ -9,7 +9,6 @@ from labos.core.decide.shares import ApplyShares
 from labos.core.model import Window
 from labos.core.shares import Group, Member
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait, find_remedy
 from labos.planning.scheduler import Scheduler
 from labos.planning.stuck import find_block
 from tests.support.bench import SECOND, START, Driver, hold, move, plan, sets, small, step, take
@@ -50,11 +49,11 @@ def test_what_would_still_stand_there_is_not_brought() -> None:
     wait = wait_of(lab, run)
     assert wait.code == "booked_soon"
     assert wait.until == START + 90 * MINUTE
-    told = describe_wait(wait)
+    told = wait.reason.sentence
     assert told.startswith(
         "dev is booked for bo from 2023-11-14 22:44 UTC until 2023-11-14 23:43 UTC (B1), and"
     )
-    assert "labos book cancel B1" in find_remedy(wait)
+    assert "labos book cancel B1" in wait.reason.remedy
     lab.now = START + 90 * MINUTE - 1
     assert lab.pump() == []
     lab.now += 1
@@ -134,8 +133,8 @@ def test_bookings_without_a_gap_are_said_and_nobody_waits_in_silence() -> None:
     lab.pump()
     wait = wait_of(lab, run)
     assert wait.code == "no_gap"
-    assert describe_wait(wait) == "the bookings of dev (B1) leave no free time of 62 min in the next 14 days"
-    assert "labos bookings dev" in find_remedy(wait)
+    assert wait.reason.sentence == "the bookings of dev (B1) leave no free time of 62 min in the next 14 days"
+    assert "labos bookings dev" in wait.reason.remedy
     short = lab.submit(visit(10), user="cy")  # type: ignore[arg-type]
     assert lab.pump() == [f"{short}#0"], "nobody waits with it"
     lab.finish(lab.list_flying()[0])

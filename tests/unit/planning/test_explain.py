@@ -12,7 +12,6 @@ import pytest
 from labos.core import reasons
 from labos.core.reasons import AnyReason, Reason
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from tests.support.bench import Driver
 from tests.unit.planning.cases import Case
 
@@ -70,7 +69,7 @@ def test_its_sentence_and_remedy_are_whole(kind: type[Reason]) -> None:
     ],
 )
 def test_sentences_name_what_is_meant(wait: Wait, text: str) -> None:
-    assert describe_wait(wait) == text
+    assert wait.reason.sentence == text
 
 
 def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
@@ -84,7 +83,7 @@ def test_whatever_a_crowded_cell_waits_for_is_explained() -> None:
             for run in [*lab.state.runs.active.values(), *lab.state.runs.queued.values()]:
                 for _, wait in lab.scheduler.list_waits(lab.state, run, lab.now):
                     seen.add(wait.code)
-                    assert "{" not in describe_wait(wait)
+                    assert "{" not in wait.reason.sentence
                     kind = type(wait.reason)
                     assert {key.partition(":")[0] for key in wait.on} <= {*kind.WAKES}, (wait, kind)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import get_args
 
-from labos.core.reasons import AnyReason, BetterHere, Quota, Urgency
-from labos.planning.explain import find_remedy
+from labos.core.reasons import AnyReason, BetterHere, NeedsPerson, Quota
 from labos.planning.obstacle import explain_wait
 from labos.services.waits import list_reasons
 from tests.support.bench import Driver, module, move, plan, station, step, take, workcell
@@ -68,13 +67,13 @@ def test_a_run_that_will_come_to_rest_in_the_way_is_named() -> None:
 
 
 def test_what_a_person_can_do_is_said_for_every_blocked_wait() -> None:
-    people = {kind for kind in get_args(AnyReason) if kind.URGENCY is Urgency.PERSON}
+    people = {kind for kind in get_args(AnyReason) if issubclass(kind, NeedsPerson)}
     without = {kind for kind in people if not kind.REMEDY and "remedy" not in vars(kind)}
     assert without == {Quota, BetterHere}, "these end with a day, and with a module"
     lab = Driver(CELL)
     run = lab.submit(plan(step("arm", take("stack", "hall"), key="get")))
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run(run), lab.now)
-    assert find_remedy(wait) == "Fill it and report that: labos load stack --type TYPE --count N --lot LOT"
+    assert wait.reason.remedy == "Fill it and report that: labos load stack --type TYPE --count N --lot LOT"
 
 
 def test_whoever_waits_for_a_module_in_doubt_hears_of_the_question() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 
 from labos.core.model import Plan
-from labos.planning.explain import describe_wait
 from labos.planning.pilot import MOST_OPTIONS, MOST_WAITING
 from tests.support.bench import Driver, module, move, needs, plan, small, station, step, take, workcell
 
@@ -87,7 +86,7 @@ def test_who_would_keep_a_run_inside_waiting_waits_outside() -> None:
     lab.submit(way("mill only", ("mill", 300.0)))
     assert lab.pump() == []
     ((_, wait),) = lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)
-    text = describe_wait(wait)
+    text = wait.reason.sentence
     assert re.fullmatch(
         r"its first step waits, because run R1 would otherwise wait for mill until about .* UTC", text
     ), text

@@ -15,6 +15,7 @@ from labos.core.lengths import Times, make_kind
 from labos.core.model import Plan, Window
 from labos.core.runs import RunState
 from labos.core.shares import Usage
+from labos.core.suggestions import Suggested
 from labos.planner.overtakings import Overtakings
 from labos.planner.planner import Planner
 from labos.planner.problem import (
@@ -26,13 +27,14 @@ from labos.planner.problem import (
     choose_runs,
     problem_of,
 )
-from labos.planner.rehearsal import OrderRehearsal
+from labos.planner.rehearsal import OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
 from labos.planner.watch import list_waiting
+from labos.planning.virtual import Play
 from labos.planning.waiting import PATIENCE
 from tests.support.bench import SECOND, Driver, full, plan, step
 from tests.unit.planning.test_pilot import lab_with, way
-from tests.unit.planning.test_suggested import CELL, make_lab, suggest, visit
+from tests.unit.planning.test_suggested import CELL, dose_and_read, make_lab, suggest, visit
 from tests.unit.planning.test_window_order import hurried
 
 
@@ -61,7 +63,7 @@ class Fixed:
 
     def __call__(self, problem: SchedulingProblem, seconds: float, hint: Mapping[int, float]) -> Schedule:
         starts = [100.0 * self.order.index(task.run) + task.step for task in problem.tasks]
-        return Schedule(tuple(starts), 0.0, 0.0, False)
+        return Schedule(tuple(starts), 0.0, False)
 
 
 def chosen(lab: Driver) -> list[RunState]:
@@ -99,6 +101,43 @@ def test_an_order_that_came_out_worse_is_taken_back() -> None:
     assert order.steps == ()
 
 
+def test_a_step_takes_as_long_with_an_order_as_without() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    runs = [lab.submit(dose_and_read()) for _ in range(6)]
+    rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab))
+    steps = [Suggested(run, 0, lab.now + 300 * SECOND * n) for n, run in enumerate(reversed(runs))]
+    order = SuggestOrder("cell", "planner", lab.now + 3600 * SECOND, tuple(steps))
+    ways = [rehearsal.go(None), rehearsal.go(order)]
+    rehearsal.is_as_good(ways[1], ways[0])
+    played = zip(*(way.plays for way in ways), strict=True)
+    for number, plays in enumerate(played):
+        took = [{run: play.ends[run] - play.begun[run, 4] for run in runs} for play in plays]
+        assert took[0] == took[1]
+        assert len(set(took[0].values())) == (len(runs) if number else 1), "drawn durations differ"
+    assert len(ways[0].plays) == 4
+
+
+def make_way(run: RunId, end: int, *missed: int) -> Way:
+    """A way that was played with durations of the plan first, and then with drawn ones."""
+    return Way(None, [Play(ends={run: end}, missed=times) for times in missed])
+
+
+def test_one_play_with_drawn_durations_does_not_decide() -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    run, _ = lab.submit(dose_and_read()), lab.submit(dose_and_read())
+    rehearsal = OrderRehearsal(lab.state, "cell", lab.now, 0.5, chosen(lab))
+    late, soon = lab.now + 2000 * SECOND, lab.now + 1500 * SECOND
+    before = make_way(run, late, 0, 0, 2, 1)
+    assert rehearsal.is_better(make_way(run, soon, 0, 1, 0, 1), before)
+    assert rehearsal.is_better(make_way(run, soon, 0, 1, 1, 1), before), (
+        "as many are missed, and all ends sooner"
+    )
+    assert not rehearsal.is_better(make_way(run, soon, 0, 2, 1, 1), before)
+    assert not rehearsal.is_better(make_way(run, soon, 1, 0, 0, 0), before), "with the durations of the plan"
+
+
 def test_nothing_is_changed_by_looking() -> None:
     lab, first, second = waits()
     before = lab.state.position
@@ -115,7 +154,7 @@ def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_
     times = lab.state.lengths.by_kind[make_kind(work)] = Times()
     for seconds in (80, 60, 100):
         times.add(int(seconds * 1e9))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now, level)
+    problem = problem_of(lab.state, chosen(lab), lab.now, level)
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s
     assert found[run, 0] == pytest.approx(10.0 * (0.9 + 0.2 * level)), "of which nothing is known"
@@ -126,7 +165,7 @@ def test_nothing_is_planned_for_when_a_module_is_booked_for_others() -> None:
     lab, first, second = waits()
     begins, ends = lab.now + 700 * SECOND, lab.now + 1500 * SECOND
     lab.do(MakeBooking("cell/dev", NewTerms(begins=begins, ends=ends, maintenance=True), "op", lab.now))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     shut = {(task.run, task.step): task.shut for task in problem.tasks}
     assert shut[first, 0] == ((700.0, 1500.0),)
     assert shut[second, 1] == (), "the other module is free"
@@ -146,7 +185,7 @@ def test_a_search_lets_nobody_be_overtakings_more_often_than_the_lab_allows() ->
     long = lab.submit(plan(step("dev", key="a", duration_s=6000.0), name="long"))
     for number in range(12):
         lab.submit(plan(step("dev", key="a", duration_s=60.0), name=f"short {number}"))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     found = solve(problem, 5.0)
     assert found is not None
     starts = {task.run: start for task, start in zip(problem.tasks, found.starts_s, strict=True)}

@@ -52,7 +52,7 @@ def test_what_a_change_costs_depends_on_what_was_before() -> None:
     lab.finish(lab.start(lab.submit(does("b"))))
     for protocol in "aba":
         lab.submit(does(protocol), user=protocol)
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     to_a, to_b = (CHANGE_S, 0.0, CHANGE_S), (0.0, CHANGE_S, 0.0)
     assert problem.setups == (SetupCosts((0, 1, 2), to_a, (to_b, to_a, to_b)),)
     found = solve(problem, 2.0)
@@ -66,7 +66,7 @@ def test_a_set_up_under_way_is_part_of_what_is_left_of_an_action() -> None:
     lab.start(lab.submit(does("a")))
     lab.wait(100.0)
     lab.submit(does("a"))
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     assert [task.duration_s for task in problem.tasks] == [WORK_S + CHANGE_S - 100.0, WORK_S]
     assert problem.setups == (SetupCosts((1,), (0.0,), ((0.0,),)),)
 
@@ -97,7 +97,7 @@ def test_a_search_finds_the_order_in_which_due_dates_are_kept() -> None:
     lab = bench(0.0)
     dues = {600.0: 50, 1200.0: 40, 1800.0: 60}
     runs = [lab.submit(does("a", s), due_at=lab.now + due * MINUTE) for s, due in dues.items()]
-    problem = problem_of(lab.state, "cell", chosen(lab), lab.now)
+    problem = problem_of(lab.state, chosen(lab), lab.now)
     assert set(problem.own_due_s) == {2400.0, 3000.0, 3600.0}
     found = solve(problem, 2.0)
     assert found is not None

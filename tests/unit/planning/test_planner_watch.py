@@ -48,7 +48,7 @@ def test_where_windows_are_kept_fewer_runs_are_looked_at() -> None:
     waiting = list_waiting(lab.state, "cell")
     chosen = choose_runs(lab.state, "cell", waiting)
     assert len(chosen) == MOST_WINDOWED, "with the one inside"
-    assert len(problem_of(lab.state, "cell", chosen, lab.now).line) == MOST_WINDOWED - 1
+    assert len(problem_of(lab.state, chosen, lab.now).line) == MOST_WINDOWED - 1
 
 
 def test_what_stands_still_over_night_is_looked_at_ever_more_seldom() -> None:
@@ -80,9 +80,7 @@ def test_a_search_that_found_nothing_is_repeated() -> None:
 
 def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     lab, (first, second) = make_lab(visit("dev"), visit("other"))
-    problem = problem_of(
-        lab.state, "cell", choose_runs(lab.state, "cell", list_waiting(lab.state, "cell")), lab.now
-    )
+    problem = problem_of(lab.state, choose_runs(lab.state, "cell", list_waiting(lab.state, "cell")), lab.now)
     steps = [(task.run, task.step) for task in problem.tasks]
     assert steps[1:] == [(run, step) for run in (first, second) for step in range(4)]
     assert problem.tasks[0].runs, "the clock ticks"
@@ -90,7 +88,5 @@ def test_a_problem_has_the_steps_to_come_with_what_they_take() -> None:
     assert [key.rpartition(".")[2].rpartition("/")[2] for key in reaches.takes] == ["arm", "dev"]
     assert reaches.duration_s == 10.0
     lab.wait(5.0)
-    again = problem_of(
-        lab.state, "cell", choose_runs(lab.state, "cell", list_waiting(lab.state, "cell")), lab.now
-    )
+    again = problem_of(lab.state, choose_runs(lab.state, "cell", list_waiting(lab.state, "cell")), lab.now)
     assert again.tasks[0].duration_s == problem.tasks[0].duration_s - 5.0

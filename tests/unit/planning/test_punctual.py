@@ -58,6 +58,22 @@ def test_it_is_followed_only_while_all_goes_as_suggested() -> None:
     assert starts(lab, orders) is None, "what is in flight should have ended a second ago"
 
 
+@pytest.mark.parametrize("took_s", [60.0, 100.0])
+def test_it_is_not_followed_to_the_letter_where_a_clock_runs_out_before(took_s: float) -> None:
+    lab = Driver(CELL)
+    lab.stock("stack", 80)
+    run = lab.submit(dose_and_read())
+    suggest(lab, *((run, i, at) for i, at in enumerate((0.0, 10.0, 110.0, 200.0, 300.0))))
+    orders = PunctualOrders()
+    for seconds in (10.0, took_s):
+        assert starts(lab, orders) is not None
+        lab.pump()
+        lab.wait(seconds)
+        lab.finish(lab.list_flying()[0])
+    is_kept = took_s == 100.0
+    assert (starts(lab, orders) is not None) is is_kept, "the plate is to be read within 120 s"
+
+
 def test_it_is_not_followed_where_somebody_is_inside_whom_it_does_not_name() -> None:
     lab, (first, _) = lab_with_order(0.0, 130.0)
     lab.submit(visit("other"))

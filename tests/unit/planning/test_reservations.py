@@ -16,7 +16,6 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Plan, PlanStep, Window
 from labos.core.state import LabState
 from labos.core.waits import Wait
-from labos.planning.explain import describe_wait
 from labos.planning.reservations import Reservations
 from labos.planning.scheduler import Scheduler
 from labos.planning.waiting import PATIENCE
@@ -83,7 +82,7 @@ def test_who_would_still_be_there_at_the_deadline_waits_and_is_told_for_whom() -
     wait = why(lab, run)
     assert wait is not None
     assert (wait.code, wait.names, wait.blocked) == ("reserved", ("cell/cam", "R1", "read"), False)
-    assert describe_wait(wait) == "cam is reserved for run R1, whose step 'read' has to start in time"
+    assert wait.reason.sentence == "cam is reserved for run R1, whose step 'read' has to start in time"
     assert wait.until == lab.now + 60 * SECOND, "it is looked at again when the step may start"
     assert {"window:R1", "module:cell/cam", "cell:cell"} <= set(wait.on)
 
@@ -551,7 +550,7 @@ def test_a_clock_is_not_started_while_what_is_in_flight_lasts_too_long() -> None
     wait = why(lab, run)
     assert wait is not None
     assert (wait.code, wait.names) == ("not_in_time", ("cell/cam", "read"))
-    assert describe_wait(wait) == "cam will not be free in time for 'read'"
+    assert wait.reason.sentence == "cam will not be free in time for 'read'"
     lab.pump()
     lab.wait(210.0)
     assert code(lab, run) == "not_in_time"

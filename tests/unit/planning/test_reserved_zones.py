@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from labos.core.model import Window
-from labos.planning.explain import describe_wait
 from tests.support.bench import Driver, module, move, plan, station, step, workcell
 from tests.unit.planning.test_reservations import start_clock, why
 
@@ -28,7 +27,7 @@ def test_a_zone_is_kept_for_the_arm_that_has_to_be_there_in_time() -> None:
     assert lab.pump() == []
     wait = why(lab, run)
     assert wait is not None
-    assert describe_wait(wait) == "z is reserved for run R1, whose step 'over' has to start in time"
+    assert wait.reason.sentence == "z is reserved for run R1, whose step 'over' has to start in time"
     assert "zone:cell/z" in wait.on
     lab.wait(60.0)
     assert lab.pump() == ["R1#1"]

@@ -13,7 +13,6 @@ from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import ModuleName
 from labos.core.model import Plan, Window
 from labos.core.shares import Usage
-from labos.planning.explain import describe_wait
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import every_wait_key
 from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, find_head
@@ -379,7 +378,7 @@ def test_nobody_waits_for_an_elder_whose_later_step_needs_a_dead_module() -> Non
     wait = lab.scheduler.check_start(lab.state, lab.run(elder), 0, lab.now)
     assert wait is not None
     assert (wait.code, wait.blocked) == ("module_down", True)
-    assert describe_wait(wait) == "cam is GONE (silence)"
+    assert wait.reason.sentence == "cam is GONE (silence)"
 
 
 def test_nobody_waits_for_an_elder_who_waits_for_an_application() -> None:

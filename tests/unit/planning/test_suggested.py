@@ -14,7 +14,6 @@ from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import ModuleName, RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import MOST_STEPS, OrderSuggested, Suggested
-from labos.planning.explain import describe_wait
 from labos.planning.suggested import GRACE_S, MOST_S, Adviser
 from labos.planning.window_order import OWN_WINDOWS
 from tests.support.bench import Driver, full, module, move, plan, station, step, take, workcell
@@ -83,7 +82,7 @@ def suggest(lab: Driver, *steps: tuple[str, int, float], until_s: float = 3600.0
 
 def why(lab: Driver, run: str, index: int = 0) -> str:
     waits = dict(lab.scheduler.list_waits(lab.state, lab.run(run), lab.now))
-    return describe_wait(waits[index]) if index in waits else ""
+    return waits[index].reason.sentence if index in waits else ""
 
 
 def test_the_suggested_order_is_followed_and_explained() -> None:
@@ -251,6 +250,48 @@ def test_a_step_that_starts_a_clock_waits_for_its_own_time() -> None:
     assert "the planner suggests that the clock of 'dose' starts later" in why(lab, run, 1)
     lab.wait(40.0)
     assert lab.pump() == [f"{run}#1"]
+
+
+def dose_read_and_watch() -> Plan:
+    """As before, and the end of the reader starts another clock."""
+    before = dose_and_read()
+    watch = step("watch", key="look", duration_s=10.0, windows=(Window(3, 0.0, 600.0),))
+    return plan(*before.steps[:4], watch, before.steps[4], name="dose, read and look")
+
+
+def go_on(lab: Driver, run: str, seconds: float) -> list[str]:
+    """The step of a run that is in flight ends after so long; returns what starts then."""
+    lab.wait(seconds)
+    lab.finish(next(a.id for a in lab.state.actions.open.values() if a.run == run))
+    return lab.pump()
+
+
+def test_a_step_waits_for_its_time_only_while_its_running_clock_allows_it() -> None:
+    lab, (run,) = make_lab(dose_read_and_watch())
+    suggest(lab, *((run, i, at) for i, at in enumerate((0.0, 10.0, 210.0, 220.0, 320.0))))
+    lab.pump()
+    assert go_on(lab, run, 10.0) == [f"{run}#1"]
+    assert go_on(lab, run, 50.0) == [f"{run}#2"], "dose has ended 50 s before its time"
+    assert go_on(lab, run, 10.0) == []
+    assert "the planner suggests that the clock of 'read' starts later" in why(lab, run, 3)
+    assert lab.scheduler.find_next_wake() == lab.now + 110 * SECOND
+    lab.wait(110.0)
+    assert lab.pump() == [f"{run}#3"], "its window of 120 s is kept"
+    assert lab.find_missed() == []
+
+
+def test_a_step_lets_another_go_first_only_while_its_running_clock_allows_it() -> None:
+    lab, (run, other) = make_lab(dose_and_read(), visit("dev", name="other"))
+    suggest(lab, (run, 0, 0.0), (run, 1, 10.0), (other, 1, 170.0), (run, 2, 180.0), (run, 3, 190.0))
+    lab.pump()
+    go_on(lab, run, 10.0)
+    assert f"{run}#2" not in go_on(lab, run, 100.0)
+    assert "planner suggests" in why(lab, run, 2)
+    lab.wait(109.0)
+    assert f"{run}#2" not in lab.pump()
+    lab.wait(1.0)
+    assert f"{run}#2" in lab.pump(), "it takes 10 s, and has to be over 120 s after the clock began"
+    assert lab.find_missed() == []
 
 
 def test_a_clock_of_a_higher_priority_does_not_wait_for_its_time() -> None:

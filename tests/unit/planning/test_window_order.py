@@ -10,7 +10,6 @@ from labos.core.decide.cancelling import CancelRun
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.explain import describe_wait
 from labos.planning.scheduler import make_searching_scheduler
 from labos.planning.window_order import ENOUGH_EACH, MOST_HELD_NS, MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
@@ -65,7 +64,7 @@ def test_a_run_waits_outside_for_its_time() -> None:
     wait = lab.scheduler.adviser.check_start(lab.state, lab.run("R2"), 0, lab.now)
     assert wait is not None
     assert wait.until == begins
-    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", describe_wait(wait))
+    assert re.fullmatch(r"all work ends sooner if .* starts later \(at about .*\)", wait.reason.sentence)
 
 
 def test_all_windows_are_kept_and_all_come_to_the_end() -> None:
@@ -158,7 +157,7 @@ def test_in_an_empty_workcell_the_first_run_waits_until_the_search_is_over() -> 
     orders = lab.scheduler.window_orders
     assert lab.pump() == []
     (_, wait), *_ = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
-    assert describe_wait(wait) == "its first step waits, because all work would end later if it started now"
+    assert wait.reason.sentence == "its first step waits, because all work would end later if it started now"
     started: list[str] = []
     while not started:
         look = orders.find_next_look()

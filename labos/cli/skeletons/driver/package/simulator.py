@@ -18,21 +18,21 @@ class Device(DeviceOnLine):
     def obey(self, line: str) -> None:
         match line.split():
             case ["WHO"]:
-                self.tell("NAME 1")
+                self.send_line("NAME 1")
             case ["STAT"]:
-                self.tell(self.state)
+                self.send_line(self.state)
             case ["COUNT"]:
-                self.tell(f"{self.works_done}")
+                self.send_line(f"{self.works_done}")
             case ["PLATE"]:
-                self.tell("YES" if self.has_plate() else "NO")
+                self.send_line("YES" if self.has_plate() else "NO")
             case ["RESET"]:
                 self.forget_plans()
                 self.state = "IDLE"
-                self.tell("OK")
+                self.send_line("OK")
             case ["WORK", seconds]:
-                self.tell(self._begin(float(seconds)))
+                self.send_line(self._begin(float(seconds)))
             case _:
-                self.tell("WHAT")
+                self.send_line("WHAT")
 
     def has_plate(self) -> bool:
         return bool(self.world.at(self.place("nest")))
