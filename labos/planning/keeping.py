@@ -127,7 +127,7 @@ class Windows:
         self._met: dict[Step, set[str]] = {}
         self._at_rest: dict[Step, tuple[Standing, int]] = {}
         self._put_off: dict[Step, tuple[Standing, int]] = {}
-        self._punctual = PunctualOrders()
+        self._punctual = PunctualOrders(self._own)
 
     def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
         """When the plan that keeps the windows has the step start (UTC ns); FAR if it does not."""
@@ -191,6 +191,10 @@ class Windows:
 
     def _make_trial(self, plan: CellOutlook, run: RunState | None, step: int) -> Trial:
         return Trial(plan, run, step, set(plan.outcome.late) | self._hopeless)
+
+    def follows_order(self, state: LabState, cell: str, now: int, safety: Safety) -> bool:
+        """Whether all goes as an order has it that keeps all windows."""
+        return self._plan(state, cell, now, safety).as_suggested
 
     def _is_as_suggested(self, trial: Trial) -> bool:
         """Whether a run is to be let in now by the suggested order, and all windows are kept with it."""

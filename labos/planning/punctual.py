@@ -7,6 +7,9 @@ should have, and nothing in flight is behind. Then nothing has to be rehearsed a
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import msgspec
 
 from labos.core.ids import RunId
@@ -19,7 +22,7 @@ from labos.planning.forecast import find_setup_in_progress, find_usual_time, is_
 from labos.planning.player import Player, Step
 from labos.planning.rehearsal import Advice, play
 from labos.planning.scene import Scene
-from labos.planning.suggested import bring_forward, find_suggested_times
+from labos.planning.suggested import bring_forward, find_order, find_suggested_times
 
 EXACT_S = 0.01
 """What starts or ends at most so much later (lab seconds) than was suggested goes as suggested."""
@@ -34,15 +37,16 @@ class _Rehearsed(msgspec.Struct):
 
 
 class PunctualOrders:
-    """The suggestion of each workcell, rehearsed once."""
+    """The suggestion of each workcell, rehearsed once; else the lab's ``own`` order where clocks run."""
 
-    def __init__(self) -> None:
+    def __init__(self, own: Mapping[str, OrderSuggested] = MappingProxyType({})) -> None:
+        self._own = own
         self._known: dict[str, _Rehearsed] = {}
 
     def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
         """When each step starts (UTC ns) that an order names, if it keeps all windows and all goes as
         suggested; None if not, or if none of its runs has windows."""
-        order = state.suggestions.find(cell, now)
+        order = find_order(state, self._own, cell, now)
         if order is None:
             return None
         known = self._known.get(cell)

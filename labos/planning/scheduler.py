@@ -190,7 +190,9 @@ class Scheduler:
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
         if wait is None and self.adviser.has_orders(state) and not self._is_overtaken(state, run):
-            wait = self.adviser.check_start(state, run, step, now)
+            cell = state.runs.plan_of(run).workcell
+            follows_order = partial(self.reservations.windows.follows_order, state, cell, now, self.safety)
+            wait = self.adviser.check_start(state, run, step, now, follows_order)
         return wait
 
     def _check_others(

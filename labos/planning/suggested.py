@@ -24,7 +24,7 @@ does not stand in others' way. An order of nothing but such starts orders nothin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import msgspec
 
@@ -121,8 +121,17 @@ class Adviser:
                 return other
         return run
 
-    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
-        """The wait of a start for steps that were suggested to go first; None if it may go ahead."""
+    def check_start(
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        now: int,
+        follows_order: Callable[[], bool] | None = None,
+    ) -> Wait | None:
+        """The wait of a start for steps that were suggested to go first; None if it may go ahead.
+        ``follows_order`` tells whether all goes as suggested, and all windows are kept then: else a run with
+        a running clock does not wait for the lab's own order."""
         plan = state.runs.plan_of(run)
         advice = self._find_advice(state, plan.workcell, now)
         if advice is None or plan.steps[step].part != MAIN or not state.actions.is_any_moving(plan.workcell):
@@ -133,7 +142,8 @@ class Adviser:
         urgent = is_urgent(state, run, now)
         goes_first = urgent or run.priority > advice.least
         is_own = advice.order.by in (OWN, OWN_WINDOWS)
-        if advice.order.by == OWN_WINDOWS and _has_clock(state, run):
+        follows = follows_order is not None and advice.order.by == OWN_WINDOWS and follows_order()
+        if advice.order.by == OWN_WINDOWS and _has_clock(state, run) and not follows:
             return None
         last = find_last_start(state, run, step)
         if now >= last:
