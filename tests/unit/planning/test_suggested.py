@@ -337,6 +337,22 @@ def test_what_an_order_of_the_labs_own_does_not_name_comes_after_it() -> None:
         assert bool(adviser.check_start(lab.state, lab.run(stranger), 0, lab.now)) is waits
 
 
+@pytest.mark.parametrize("all_is_kept", [True, False])
+def test_a_running_clock_waits_for_an_order_of_the_labs_own_only_if_it_keeps_all_windows(
+    all_is_kept: bool,
+) -> None:
+    lab, (clocked, other) = make_lab(dose_and_read(), visit("other"))
+    for index in range(2):
+        lab.finish(lab.start(clocked, index))
+    steps = tuple(
+        Suggested(RunId(run), i, lab.now + at * SECOND) for run, i, at in ((other, 1, 10), (clocked, 2, 20))
+    )
+    adviser = Adviser(None, {"cell": OrderSuggested("cell", OWN_WINDOWS, lab.now + 3600 * SECOND, steps)})
+    wait = adviser.check_start(lab.state, lab.run(clocked), 2, lab.now, lambda: all_is_kept)
+    assert bool(wait) is all_is_kept, "the other one should have the arm first"
+    assert adviser.check_start(lab.state, lab.run(clocked), 2, lab.now + 20 * SECOND, lambda: True) is None
+
+
 def test_a_run_waits_outside_until_its_time_and_never_for_ever() -> None:
     lab, (run,) = make_lab(visit("dev"))
     outside = Suggested(run, 0, lab.now + 600 * SECOND, outside=True)
