@@ -479,7 +479,9 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
                 return None
             first = place[window.anchor] + 1
             between = sum(durations[i] for i in steps[first:number])
-            limit = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
+            # A move that is known to last longer than its window is followed at once.
+            left = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
+            limit = None if left is None else max(0, left)
             spans.append(WaitSpan(first, number, convert_lab_s(state, window.wait_s) - between, limit))
     waits = share_waits(len(steps), spans)
     return None if waits is None else StepChain(tuple(steps), *waits)

@@ -143,6 +143,13 @@ def test_what_was_found_later_is_followed_and_no_look_changes_an_order_for_nothi
     assert last <= max(step.start for step in first.steps)
 
 
+def test_a_window_that_is_shorter_than_its_move_leaves_the_others_their_order() -> None:
+    too_short = hurried(way("too short", ("mill", 60.0), ("lathe", 300.0)), spare_s=-2.0)
+    lab = lab_with(too_short, TO_OVEN, FROM_LATHE)
+    lab.pump()
+    assert {step.run for step in orders_of(lab)["cell"].steps} == {"R1", "R2", "R3"}
+
+
 def searching_lab_with(*plans: Plan, pace: float = 1.0) -> Driver:
     lab = Driver(CELL, pace=pace)
     lab.scheduler = make_searching_scheduler()
