@@ -112,9 +112,13 @@ def test_sensors_find_what_an_arm_that_died_was_carrying(after_s: float) -> None
         lab.close()
 
 
+async def _never_start(self: Reconciler) -> None:
+    """Observe nothing."""
+
+
 def test_a_lab_that_does_not_look_waits_for_a_person(monkeypatch: pytest.MonkeyPatch) -> None:
     """The mutant: without the ladder the same lab hangs until somebody comes."""
-    monkeypatch.setattr(Reconciler, "start", lambda self: None)
+    monkeypatch.setattr(Reconciler, "start", _never_start)
     state, lab = kill_in_motion(25.0)
     try:
         assert "j" not in lab.done_jobs

@@ -4,8 +4,8 @@ python -m tests.simulation.proof.mutants
 python -m tests.simulation.proof.mutants --only "no tombstone"
 
 Each is the smallest change of the source that stands for its flaw. It is made in a copy of ``labos`` and
-``tests`` and run in a process of its own: what is tried is code that somebody could have written, with
-nothing patched in memory that another import may have bound already.
+run in a process of its own: what is tried is code that somebody could have written, with nothing patched in
+memory that another import may have bound already.
 """
 
 from __future__ import annotations
@@ -22,8 +22,7 @@ from pathlib import Path
 import msgspec
 
 ROOT = Path(__file__).parents[3]
-CHANGED = ("labos", "tests")
-BESIDE = ("specs", "drivers", "migrations", "pyproject.toml")
+BESIDE = ("tests", "specs", "drivers", "migrations", "pyproject.toml")
 
 
 class Change(msgspec.Struct, frozen=True):
@@ -48,14 +47,14 @@ MUTANTS = (
         "requests go to nodes as soon as they are decided",
         (
             Change(
-                "labos/runtime/kernel.py",
+                "runtime/kernel.py",
                 "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n",
                 "            self._writer.submit([entry.record for entry in entries], may_wait=may_wait)\n"
                 "            for listener in self.listeners:\n"
                 "                listener.on_committed(entries)\n",
             ),
             Change(
-                "labos/runtime/kernel_log.py",
+                "runtime/kernel_log.py",
                 "        for listener in self.listeners:\n"
                 "            if not self._notify(listener, partial(listener.on_committed, entries)):\n"
                 "                self._notify(listener, listener.on_reopened)"
@@ -70,7 +69,7 @@ MUTANTS = (
         "a node writes down neither what it accepted nor how that ended",
         (
             Change(
-                "labos/node/journal.py",
+                "node/journal.py",
                 "                data = write_line(batch)\n",
                 '                names = (b"accepted", b"handle", b"ended", b"void")\n'
                 """                forgotten = tuple(b'{"t":"%b"' % name for name in names)\n"""
@@ -83,7 +82,7 @@ MUTANTS = (
         "a node obeys a kernel that has been replaced",
         (
             Change(
-                "labos/node/_admission.py",
+                "node/_admission.py",
                 "        if epoch < memory.epoch:\n",
                 "        if epoch < 0:\n",
             ),
@@ -94,7 +93,7 @@ MUTANTS = (
         "a node says of what it never heard of that it can never run, and does not see to it",
         (
             Change(
-                "labos/node/server.py",
+                "node/server.py",
                 "            self.journal.forbid_attempts(ask.action, ask.attempt, ask.position)\n",
                 '            return reply or self._reply("void", attempt=ask.attempt)\n',
             ),
@@ -105,7 +104,7 @@ MUTANTS = (
         "a result whose publication was lost is not fetched",
         (
             Change(
-                "labos/runtime/registry.py",
+                "runtime/registry.py",
                 "(ended or lost):\n                self._dispatcher.find_out(action.id)\n",
                 "(ended or lost):\n                pass\n",
             ),
@@ -116,7 +115,7 @@ MUTANTS = (
         "the end of an action says twice what it did",
         (
             Change(
-                "labos/core/decide/actions.py",
+                "core/decide/actions.py",
                 '    yield from list_effect_events(state, action, "all", "", command.result)\n',
                 '    took_place = [*list_effect_events(state, action, "all", "", command.result)]\n'
                 "    yield from [*took_place, *took_place]\n",
@@ -126,14 +125,14 @@ MUTANTS = (
     Mutant(
         "snapshot of another fold",
         "all fold code has the same fingerprint",
-        (Change("labos/core/state.py", "    return total.hexdigest()\n", '    return "fold"\n'),),
+        (Change("core/state.py", "    return total.hexdigest()\n", '    return "fold"\n'),),
     ),
     Mutant(
         "lease by local clock",
         "a lease runs by the clock of whoever asks (in the simulated store: in the real ones this is SQL)",
         (
             Change(
-                "tests/support/simulation/disk.py",
+                "testing/disk.py",
                 'always the server\'s."""\n        return self._now()\n',
                 'always the server\'s."""\n'
                 "        clock = self.process.clock if self.process is not None else None\n"
@@ -148,7 +147,7 @@ def mutate(mutant: Mutant) -> dict[str, str]:
     """The files with the flaw in them. Raises ValueError if a change does not fit the source any more."""
     files: dict[str, str] = {}
     for change in mutant.changes:
-        text = files.get(change.file) or (ROOT / change.file).read_text()
+        text = files.get(change.file) or (ROOT / "labos" / change.file).read_text()
         if text.count(change.old) != 1:
             raise ValueError(f"{mutant.name}: {change.file} has changed; the mutant has to be written anew")
         files[change.file] = text.replace(change.old, change.new)
@@ -157,12 +156,11 @@ def mutate(mutant: Mutant) -> dict[str, str]:
 
 def plant(mutant: Mutant, folder: Path) -> None:
     """A checkout with the flaw in it."""
-    for name in CHANGED:
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "labos", folder / "labos", ignore=shutil.ignore_patterns("__pycache__"))
     for name in BESIDE:
         (folder / name).symlink_to(ROOT / name)
     for file, text in mutate(mutant).items():
-        (folder / file).write_text(text)
+        (folder / "labos" / file).write_text(text)
 
 
 def try_mutant(mutant: Mutant, seeds: int) -> tuple[int | None, list[str], int]:
