@@ -32,7 +32,7 @@ def test_every_field_is_described(kind: str) -> None:
         for field, content in part["properties"].items()
         if not content.get("description")
     ]
-    assert silent == [], "say in labos/spec/schema.py what they mean"
+    assert silent == [], "say in their models what they mean"
     assert all(part["description"] and not part["additionalProperties"] for part in parts.values())
 
 
