@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal, get_args
+from typing import Any
 
 from labos.errors import NotFound
 from labos.spec import models
@@ -13,8 +13,7 @@ from labos.spec.parts import Part
 from labos.spec.policy import PolicyFile
 from labos.spec.shares import SharesFile
 
-SchemaKind = Literal["workcell", "workflow", "labware", "description", "campaign", "shares", "policy"]
-FILES: dict[SchemaKind, type[Part]] = {
+FILES: dict[str, type[Part]] = {
     "workcell": models.WorkcellFile,
     "workflow": models.WorkflowFile,
     "labware": models.LabwareFile,
@@ -34,8 +33,7 @@ ONE_OR_MANY = {"StepEntry": ("wait", "within")}
 def make_schema(kind: str) -> dict[str, Any]:
     """The JSON Schema of a kind of file. Raises NotFound."""
     if kind not in FILES:
-        known = get_args(SchemaKind)
-        raise NotFound(f"There is no schema of a {kind!r}.", remedy=suggest_name(kind, known, "schema"))
+        raise NotFound(f"There is no schema of a {kind!r}.", remedy=suggest_name(kind, FILES, "schema"))
     model = FILES[kind]
     schema = model.model_json_schema()
     for name, part in (*schema.get("$defs", {}).items(), (model.__name__, schema)):

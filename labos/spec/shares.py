@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from pydantic import Field
 
-from labos.core.shares import Group, Member, Quota
+from labos.core.shares import Group, Member
 from labos.spec.findings import FindingList
 from labos.spec.parts import Label, Part, Version
 from labos.spec.source import parse
@@ -86,23 +86,10 @@ def parse_shares(text: str, name: str = "") -> CompiledShares:
             report.error(what, place, field=field, remedy="Name each user once.")
         homes[user] = group
     report.raise_if_failed()
-    groups = [
-        Group(
-            name,
-            entry.weight,
-            {u: _make_member(m) for u, m in entry.members.items()},
-            _make_quota(entry.quota),
-        )
-        for name, entry in file.groups.items()
-    ]
+    written = file.model_dump()
+    groups = [{"name": name, **entry} for name, entry in written["groups"].items()]
     return CompiledShares(
-        source.digest, tuple(groups), {user: _make_member(entry) for user, entry in file.users.items()}
+        source.digest,
+        msgspec.convert(groups, tuple[Group, ...]),
+        msgspec.convert(written["users"], dict[str, Member]),
     )
-
-
-def _make_member(entry: MemberEntry) -> Member:
-    return Member(entry.weight, _make_quota(entry.quota))
-
-
-def _make_quota(entry: QuotaEntry) -> Quota:
-    return Quota(entry.running, entry.queued, entry.lab_hours, dict(entry.consumables), entry.priority)
