@@ -16,7 +16,7 @@ from labos.core.effects import AnyEffect
 from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
 from labos.core.structs import make_from
 from labos.spec.mismatch import explain_plainly
-from labos.spec.parts import Name, Part, Seconds
+from labos.spec.parts import Aliases, Comment, Name, Part, Seconds
 
 EMPTY: tuple[Any, ...] = ("", (), [], None)
 """Values that count as empty."""
@@ -29,14 +29,21 @@ class ArgAbout(Part):
     out."""
 
     type: ArgType = "any"
+    """its type; ``station`` and ``file`` are names of such"""
     required: bool | None = None
+    """whether it must be given; by default: whether it has no default value"""
     default: Any = None
+    """its value if it is not given"""
     unit: str = ""
+    """the unit of its value and limits"""
     minimum: float | None = None
+    """the least value"""
     maximum: float | None = None
+    """the greatest value"""
     choices: list[Any] = []
-    aliases: list[str] = []
-    description: str = ""
+    """the values it may have; any, if left out"""
+    aliases: Aliases = []
+    description: Comment = ""
 
 
 class ActionAbout(Part):
@@ -45,41 +52,62 @@ class ActionAbout(Part):
     content}``. ``duration_from`` is the formula for the duration if it depends on arguments, such as ``20 +
     {seconds}``."""
 
-    description: str = ""
+    description: Comment = ""
     args: dict[Name, ArgAbout] = {}
+    """its arguments, by name"""
     effects: list[dict[str, dict[str, Any] | None]] = []
+    """its effects on the bench: tables with one effect each, as in the reference"""
     duration: Annotated[Seconds, Field(gt=0)] = 1.0
+    """its nominal duration: seconds, or text such as ``10 min``"""
     safe_to_repeat: bool = False
+    """whether it can be repeated without harm"""
     exclusive: bool = True
+    """false for a pure query, which does not occupy the module"""
     recovers: bool = False
-    aliases: list[str] = []
+    """whether it recovers the module from an error"""
+    aliases: Aliases = []
     result: str = ""
+    """the type of its result; empty for none"""
     returns: Any = None
+    """the result of the simulated module; a file in it as ``{file: name, text: content}``"""
     dangerous: str = ""
+    """its danger: ``laser``, ``hot``, ``irreversible``, or another word"""
     duration_from: str = ""
+    """the formula for the duration if it depends on arguments: ``{seconds}``, ``20 + {minutes}``"""
 
 
 class StationAbout(Part):
     """A place of the module that holds labware."""
 
     kind: StationKind = "nest"
+    """the kind of the station"""
     capacity: int = Field(default=1, ge=1)
+    """its capacity for pieces of labware"""
     access: dict[str, Any] = {}
+    """values of the module's variables with which an arm can reach in"""
     claim: bool = True
-    aliases: list[str] = []
+    """whether labware here blocks the module for other runs"""
+    aliases: Aliases = []
 
 
 class About(Part):
     """The description of the module that a driver would give."""
 
-    description: str = ""
+    description: Comment = ""
     manipulator: bool = False
+    """whether it moves labware"""
     stations: dict[Name, StationAbout] = {}
+    """its places that hold labware, by name"""
     variables: dict[str, Any] = {}
+    """first values of its variables that matter to others"""
     rest: dict[str, Any] = {}
+    """values of its variables at which other runs can use it"""
     levels: dict[str, float] = {}
+    """capacities of its resources"""
     units: dict[str, str] = {}
+    """the units of its resources"""
     actions: dict[Name, ActionAbout]
+    """its actions, by name"""
 
 
 class ExtendedAction(ActionAbout):
@@ -87,13 +115,16 @@ class ExtendedAction(ActionAbout):
     replaces the driver's action of that name."""
 
     replaces: bool = False
+    """whether it replaces the driver's action; if not, its arguments are added"""
 
 
 class Extends(Part):
     """Parts of the module's own node that its driver does not have."""
 
     stations: dict[Name, StationAbout] = {}
+    """places that the driver does not have, by name"""
     actions: dict[Name, ExtendedAction] = {}
+    """actions and arguments that the driver does not have, by the action's name"""
 
 
 GENERIC = "generic"

@@ -16,7 +16,7 @@ from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
 from labos.spec.findings import FindingList
-from labos.spec.parts import Label, Part, Seconds
+from labos.spec.parts import Label, Part, Seconds, Version
 from labos.spec.remarks import Remarks
 from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
@@ -29,8 +29,11 @@ class Span(Part):
     """A range of numbers from which a Latin hypercube takes values; with ``whole``, only whole numbers."""
 
     from_: float = Field(alias="from")
+    """the least value"""
     to: float
+    """the greatest value"""
     whole: bool = False
+    """whole numbers only"""
 
 
 class LatinHypercube(Part):
@@ -38,8 +41,11 @@ class LatinHypercube(Part):
     there are rows, and each slice is used once. The same seed gives the same rows."""
 
     samples: int = Field(ge=1, le=MOST_ROWS)
+    """how many rows"""
     seed: int
+    """the same seed gives the same rows"""
     spans: dict[Label, Span] = Field(min_length=1)
+    """keys, and the spans of their values"""
 
 
 Values = Annotated[list[Any], Field(min_length=1)]
@@ -49,24 +55,33 @@ class RowsEntry(Part):
     """The source of the rows: exactly one of these. Keys may refer to nested tables: ``seal.time``."""
 
     table: str = ""
+    """a CSV, YAML or JSON file beside this one; the columns are keys of the payload"""
     list_: list[dict[str, Any]] = Field(default=[], alias="list")
+    """the rows themselves"""
     grid: dict[Label, Values] = {}
+    """keys and their values: all combinations"""
     zip_: dict[Label, Values] = Field(default={}, alias="zip")
+    """keys and their values: the first with the first, and so on"""
     latin_hypercube: LatinHypercube | None = None
+    """rows that fill a space evenly"""
 
 
 class BudgetEntry(Part):
     """The most that the campaign may use: runs, module time, and consumables by kind in their own units."""
 
     runs: int = Field(default=0, ge=0)
+    """the largest number of runs; 0 for no limit"""
     lab_time: Seconds = Field(default=0.0, ge=0)
+    """module time: seconds, or text as ``20 h``; 0 for no limit"""
     consumables: dict[Label, Annotated[float, Field(ge=0, strict=False)]] = {}
+    """amounts by kind, in the unit of each"""
 
 
 class StopAfter(Part):
     """After this number of failed rows, no further row is submitted."""
 
     stop_after: int = Field(ge=1)
+    """the number of failed rows after which no further row is submitted"""
 
 
 def _show_time(value: Any) -> Any:
@@ -76,20 +91,34 @@ def _show_time(value: Any) -> Any:
 class CampaignFile(Part):
     """A campaign file. Each row's values are added to ``payload``."""
 
-    labos: Literal[1]
+    labos: Version
     campaign: Label
+    """the campaign's name"""
     workflow: str = Field(min_length=1)
+    """a workflow file beside this one, or a packaged workflow"""
     workcell: str = ""
+    """the workcell, if the lab has several"""
     payload: dict[str, Any] = {}
+    """values that all rows have"""
     rows: RowsEntry
+    """the source of the rows; each row is one run"""
     priority: int = Field(default=0, ge=-100_000, le=100_000)
+    """higher goes first"""
     deadline: Annotated[str, BeforeValidator(_show_time)] = ""
+    """the time by which it should end: 2026-05-04T10:30, in the lab's time unless it names a zone, or 12h
+    from now; its runs go first when time is short"""
     due: str = ""
+    """the key with the due date of a row's run: 2026-05-04T10:30, in the lab's time"""
     budget: BudgetEntry = BudgetEntry()
+    """the most that it may use"""
     tags: list[Label] = []
+    """keywords for finding it"""
     until: str = ""
+    """no further row is submitted after this is true for a run: steps.Read.result.od > 0.5"""
     on_failure: Literal["go_on", "stop"] | StopAfter = "go_on"
+    """go_on, stop at the first failure, or stop_after a number of failures"""
     visibility: Visibility = "lab"
+    """who sees it besides operators: lab (all), group (its user's), private (only its user)"""
 
 
 class CampaignSource(msgspec.Struct, frozen=True):

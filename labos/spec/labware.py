@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from labos.core.model import LabwareSpec, WellGrid
+from labos.core.structs import make_from
 from labos.errors import SpecError
 from labos.spec.dialects import convert_labware, find_kind
 from labos.spec.findings import FindingList, make_finding
@@ -39,16 +40,9 @@ def load_packaged_labware() -> dict[str, LabwareType]:
 
 def make_spec(name: str, kind: LabwareType) -> LabwareSpec:
     """A type in the form that is stored with the workcell."""
-    size, wells = kind.footprint, kind.wells
-    return LabwareSpec(
-        name,
-        size.length_mm,
-        size.width_mm,
-        size.height_mm,
-        WellGrid(**wells.model_dump()) if wells is not None else None,
-        kind.stackable,
-        tuple(kind.grips),
-    )
+    wells = None if kind.wells is None else make_from(WellGrid, kind.wells)
+    size = kind.footprint.model_dump()
+    return make_from(LabwareSpec, kind, name=name, wells=wells, grips=tuple(kind.grips), **size)
 
 
 class OwnLabware(NamedTuple):

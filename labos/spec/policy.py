@@ -3,8 +3,6 @@ bookings."""
 
 from __future__ import annotations
 
-from typing import Literal
-
 import msgspec
 from pydantic import Field
 
@@ -13,7 +11,7 @@ from labos.core.policy import BookingLimits, Policy
 from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
 from labos.spec.findings import FindingList
-from labos.spec.parts import Label, Part
+from labos.spec.parts import Label, Part, Version
 from labos.spec.remarks import Remarks
 from labos.spec.source import parse
 from labos.spec.validation import expect_valid
@@ -24,25 +22,38 @@ class BookingsEntry(Part):
     default is 24, or the limit for one booking if that is more."""
 
     hours: float | None = Field(default=None, gt=0, le=8_784)
+    """hours of one booking; as many as for all together, if left out"""
     total_hours: float | None = Field(default=None, gt=0, le=1_000_000)
+    """future hours of all bookings together"""
     days_ahead: int = Field(default=14, ge=1, le=366)
+    """the number of days in advance within which a booking may begin"""
 
 
 class PolicyFile(Part):
     """A policy file. The defaults are as in a lab without a policy: only submissions of programs need an
     approval."""
 
-    labos: Literal[1]
+    labos: Version
     programs: bool = True
+    """whether submissions of service accounts need an approval"""
     trusted: list[Label] = []
+    """service accounts whose submissions need no approval"""
     newcomers: int = Field(default=0, ge=0, le=1_000)
+    """the number of a user's approved submissions after which others need no approval"""
     dangerous: bool = False
+    """whether submissions with dangerous steps need an approval"""
     above: BudgetEntry = BudgetEntry()
+    """submissions that use more than this need an approval"""
     deadlines: bool = False
+    """whether campaigns with a deadline need an approval"""
     own: bool = False
+    """whether operators may approve their own submissions"""
     erasure: bool = False
+    """whether people's words are erased only after a second admin has agreed"""
     priority: int | None = Field(default=None, ge=-100_000, le=100_000)
+    """the highest priority for users who are not operators and have no quota for it"""
     bookings: BookingsEntry = BookingsEntry()
+    """limits for bookings of users who are not operators"""
 
 
 class CompiledPolicy(msgspec.Struct, frozen=True):
