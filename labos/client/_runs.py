@@ -13,7 +13,8 @@ from labos import errors
 from labos.client._batches import BatchRun, cut_into_batches, list_runs, merge_files
 from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
-from labos.client._generated import GeneratedCalls
+from labos.client._generated.lab_operations import LabOperations
+from labos.client._generated.work_operations import WorkOperations
 from labos.client._progress import SHOWN_S, Progress, can_show, show_progress
 from labos.client._results import RunResult
 from labos.errors import BadInput
@@ -29,7 +30,7 @@ Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
 """A station, the type of labware that is placed there, and its variables: ``{"sealed": True}``."""
 
 
-class RunCalls(GeneratedCalls):
+class RunCalls(LabOperations, WorkOperations):
     """Calls about one run, and about many."""
 
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
