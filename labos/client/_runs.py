@@ -11,7 +11,7 @@ import msgspec
 
 from labos import errors
 from labos.client._batches import BatchRun, cut_into_batches, list_runs, merge_files
-from labos.client._calls import LONG_POLL_S
+from labos.client._calls import LONG_POLL_S, in_path
 from labos.client._files import step_text, workflow_text
 from labos.client._generated.lab_operations import LabOperations
 from labos.client._generated.work_operations import WorkOperations
@@ -21,6 +21,8 @@ from labos.errors import BadInput
 
 RUN_ENDS = ("run.completed", "run.failed", "run.cancelled")
 """The types of the events with which a run ends; a test compares them with those of the core."""
+
+VERBS = ("pause", "resume", "cancel")
 
 MOST_STREAMS = 40
 """At most so many runs can be named in a query for events; for more, the ends of all runs are read."""
@@ -35,7 +37,7 @@ class RunCalls(LabOperations, WorkOperations):
 
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
-        result = msgspec.convert(self._get_run(run, wait=wait_s), RunResult)
+        result = msgspec.convert(self._get(f"/runs/{in_path(run)}", wait=wait_s), RunResult)
         vars(result)["_lab"] = self
         return result
 
@@ -59,18 +61,12 @@ class RunCalls(LabOperations, WorkOperations):
         same ``request`` twice is one run. With ``propose`` it waits for an approval, independent of the
         policy. ``due`` is the time by which it should end: a time (``2026-11-27T08:00``, in the lab's zone if
         it has none), or a duration from now (``12h``)."""
-        answer = self._submit_run(
-            workflow_text(workflow, payload),
-            user,
-            payload=payload,
-            workcell=workcell,
-            priority=priority,
-            experiment=experiment,
-            place=puts_of(place),
-            propose=propose,
-            due=due,
-            request=request,
-        )
+        asked = locals() | {
+            "workflow": workflow_text(workflow, payload),
+            "payload": payload or {},
+            "place": puts_of(place),
+        }
+        answer = self._post("/runs", asked, once=True)
         self.warnings = [_make_remark(finding) for finding in answer.get("warnings", ())]
         self._note_approval(answer)
         return str(answer["run"])
@@ -221,10 +217,10 @@ class RunCalls(LabOperations, WorkOperations):
     ) -> dict[str, Any]:
         """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the ``lab``.
         Returns the target (``kind``, ``target``) and the cancelled ``runs``."""
-        verbs = {"pause": self._pause_target, "resume": self._resume_target, "cancel": self._cancel_target}
-        if verb not in verbs:
-            raise BadInput(f"{verb!r} is not one of {', '.join(verbs)}.")
-        return verbs[verb](target, by, why=why, stay=stay)
+        if verb not in VERBS:
+            raise BadInput(f"{verb!r} is not one of {', '.join(VERBS)}.")
+        asked = {"target": target, "by": by, "why": why, "stay": stay}
+        return self._post(f"/control/{verb}", asked, repeat=True)
 
     def reset(self, module: str, by: str = "somebody") -> RunResult:
         """Reset a module that is in error, and wait for the end of the reset."""

@@ -36,7 +36,7 @@ CLASSES = {
         *("forecasts", "planning", "finding"),
     ),
 }
-"""The classes of generated methods, each with the modules of ``labos.http.routes`` whose operations it has."""
+"""Each class of generated methods, with the modules of ``labos.http.routes`` whose operations it has."""
 
 DISTINCT = ("not_found", "refused", "forbidden", "spec_errors", "log_damaged")
 """Problems that a caller tells apart; those that may come with each request are said once."""
@@ -216,6 +216,10 @@ def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
 
 
 def _write_docstring(operation: Operation) -> Iterator[str]:
+    """The description of an operation; only its summary for a method that no user calls."""
+    if operation.client.name.startswith("_"):
+        yield f'"""{operation.summary}."""'
+        return
     said = " ".join((operation.handler.__doc__ or "").split()).replace("`", "``")
     text = [
         f"{operation.summary}.",

@@ -32,38 +32,6 @@ class LabOperations(Calls):
         ``wastes``."""
         return self._get("/inventory")
 
-    def _list_nodes(self, *, module: Sequence[str] = (), check: bool = False) -> list[dict[str, Any]]:
-        """Ask the nodes of modules for their present state. The lab asks the modules' nodes over the bus and
-        waits at most two seconds. Nothing moves. ``module``: a module; may be repeated; left out: all
-        modules. ``check``: each node also reports its identity and what its device observes; nothing moves.
-        Returns the modules."""
-        return self._get("/nodes", module=module, check=int(check))["modules"]
-
-    def _pause_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
-        """Pause a run, an experiment, a module, a workcell or the lab. Nothing more starts there except
-        resets; actions under way continue to their end. ``target``: a run, an experiment, a module, a
-        workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log. ``stay``:
-        ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``, ``runs``,
-        ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post("/control/pause", locals(), repeat=True)
-
-    def _resume_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
-        """Resume a paused run, experiment, module, workcell or lab. ``target``: a run, an experiment, a
-        module, a workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log.
-        ``stay``: ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``,
-        ``runs``, ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post("/control/resume", locals(), repeat=True)
-
-    def _cancel_target(self, target: str, by: str, *, why: str = "", stay: bool = False) -> dict[str, Any]:
-        """Cancel a run, an experiment, or the runs of a module, a workcell or the lab. With a module, the
-        started runs that still need it are cancelled; with a workcell or the lab, all runs, also those that
-        wait. A cancelled experiment accepts no more runs and closes when its runs have ended. Closing
-        workflows continue, because they clear labware away. ``target``: a run, an experiment, a module, a
-        workcell, or ``lab``. ``why``: for a pause or a cancellation: a reason for the log. ``stay``:
-        ``true``: labware of the cancelled runs stays where it is. Returns ``kind``, ``target``, ``runs``,
-        ``already``, ``noted``. Raises NotFound, Refused."""
-        return self._post("/control/cancel", locals(), repeat=True)
-
     def emergency_stop(self, target: str, by: str = "somebody") -> dict[str, Any]:
         """Stop modules at once, in an emergency. The stop does not wait for the log; it is logged afterwards.
         It is not a safety function. ``stopped`` are the modules that confirmed the stop, with the time (UTC
@@ -246,44 +214,12 @@ class LabOperations(Calls):
         for the log. Returns ``module``, ``what``, ``certificate``, ``file``, ``until``. Raises Refused."""
         return self._post("/modules/{module}/calibrations", locals(), once=True)
 
-    def _change_workcell(
-        self,
-        text: str,
-        by: str,
-        *,
-        name: str = "workcell",
-        dry_run: bool = False,
-        labware: Mapping[str, bytes] | None = None,
-        files: Mapping[str, bytes] | None = None,
-    ) -> dict[str, Any]:
-        """Apply a workcell file. The answer has the differences (``modules``, ``stations``, ``poses``,
-        ``labware``), the changed fields of each module (``details``), the ``blockers``, the warnings about
-        its files (``findings``), and whether it was ``applied``. The request reads no file from the lab's
-        disk. A module that names files, programs or secrets of its node's computer
-        ([workcell](workcell.md#files-programs-and-secrets)) is refused unless the lab has the same module
-        already. ``text``: the file. ``name``: the name of the file in error messages. ``dry_run``: only
-        answer what would change. ``labware``: the labware files that it names, in base64, by the names that
-        it uses. ``files``: the other files that it names: tables of drivers (``plc: hatch.yaml``). Returns
-        ``workcell``, ``applied``, ``modules``, ``stations``, ``poses``, ``labware``, ``blockers``,
-        ``details``, ``findings``, ``transfers``. Raises Refused, BadInput."""
-        labware = labware or {}
-        files = files or {}
-        return self._post("/workcells", locals(), repeat=True)
-
     def enter(self, workcell: str, by: str, why: str = "", *, park: bool = True) -> list[str]:
         """Request access to a workcell. Nothing more starts there. ``lab.access`` in the state shows when
         access is ``granted``, and which modules may still be moving because the outcome of their action is
         unknown (``perhaps_moving``). ``why``: what for. ``park``: false: arms stay where they are. Returns
         the parking. Raises Refused."""
         return self._post("/workcells/{workcell}/access", locals(), repeat=True)["parking"]
-
-    def _end_workcell_access(
-        self, workcell: str, by: str, *, note: str = "", changed: Sequence[Mapping[str, Any]] = ()
-    ) -> None:
-        """End the access to a workcell. No person works in the workcell any more, and it continues. ``note``:
-        a comment for the log. ``changed``: the stations that were changed, and what stands there now. Raises
-        Refused."""
-        self._post("/workcells/{workcell}/access/end", locals())
 
     def bookings(self, target: str = "") -> list[dict[str, Any]]:
         """List the bookings. The bookings that have not ended, in the order of their next times. ``target``:
@@ -456,22 +392,6 @@ class LabOperations(Calls):
         ``shared``. ``force``: for operators: the labware belongs to somebody else. ``note``: a reason or
         comment; required with ``force``. Raises Refused."""
         self._post("/labware/{labware}/owner", locals(), repeat=True)
-
-    def _register_sheet(
-        self,
-        text: str,
-        by: str,
-        *,
-        name: str = "sheet",
-        labware: str = "",
-        station: str = "",
-        replace: bool = False,
-    ) -> dict[str, int]:
-        """Register the samples in the wells of plates. A sheet with faults is refused completely; the answer
-        lists the places of all faults. ``text``: the sheet, CSV. ``name``: the name of the sheet in error
-        messages. ``labware``: the plate, if the sheet does not name it. ``station``: or where it stands.
-        ``replace``: replace an earlier sheet. Returns the plates. Raises NotFound, Refused, BadInput."""
-        return self._post("/samples", locals(), repeat=True)["plates"]
 
     def users(self) -> list[dict[str, Any]]:
         """List the users and their roles."""

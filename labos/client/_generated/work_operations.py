@@ -22,31 +22,6 @@ class WorkOperations(Calls):
         Returns ``runs``, ``position``, ``more``, ``ended_position``."""
         return self._get("/runs", after=after, limit=limit, ended=ended, before=before)
 
-    def _submit_run(
-        self,
-        workflow: Mapping[str, Any],
-        user: str,
-        *,
-        payload: Mapping[str, Any] | None = None,
-        workcell: str = "",
-        priority: int = 0,
-        experiment: str = "",
-        place: Sequence[Mapping[str, Any]] = (),
-        propose: bool = False,
-        due: str = "",
-        request: str = "",
-    ) -> dict[str, Any]:
-        """Queue a run of a workflow. ``workflow``: the workflow, with the files that it names. ``user``: the
-        user who asks; ignored in a lab that has users, where it is the user who has signed in. ``payload``:
-        values for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first;
-        0. ``experiment``: the experiment to which the run belongs; it must belong to the same user.
-        ``place``: labware that was put on the bench for the run; recorded with the run, or not at all.
-        ``propose``: wait for an approval, also if the policy does not require one. ``due``: the time by which
-        the run should end: a time, or a duration from now (``12h``); empty: none. Returns ``run``,
-        ``warnings``, ``approval``. Raises NotFound, Refused, BadInput."""
-        payload = payload or {}
-        return self._post("/runs", locals(), once=True)
-
     def _submit_runs(
         self,
         workflow: Mapping[str, Any],
@@ -64,26 +39,8 @@ class WorkOperations(Calls):
         first: int = 0,
         request: str = "",
     ) -> dict[str, Any]:
-        """Queue a run of a workflow for each payload, all of them or none. The runs are queued in one step:
-        all of them, or none. So the first one starts when the lab knows the last one. ``workflow``: the
-        workflow, with the files that it names. ``payloads``: values for the workflow, of one run each.
-        ``user``: the user who asks; ignored in a lab that has users, where it is the user who has signed in.
-        ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0. ``experiment``: the
-        experiment to which they belong; it must be the user's. ``place``: labware that was put on the bench
-        for them; recorded once with the runs, or not at all. ``propose``: wait for an approval, also if the
-        policy does not require one. ``due``: the time by which they should end: a time, or a duration from
-        now (``12h``); empty: none. ``keys``: a key for each run; a repeated key is the same run; left out:
-        the request's key with ``-0``, ``-1`` …. ``files``: for each run, the names of the workflow's files
-        that it has; left out: all of them. ``first``: the number of payloads sent before these; error
-        messages count them too. Returns ``runs``, ``warnings``, ``approvals``. Raises NotFound, Refused,
-        BadInput."""
+        """Queue a run of a workflow for each payload, all of them or none."""
         return self._post("/runs/batch", locals(), once=True)
-
-    def _get_run(self, run: str, *, wait: float = 0.0) -> dict[str, Any]:
-        """Show a run with its steps, or its end. ``wait``: seconds to wait for its end. Returns ``id``,
-        ``workflow``, ``workcell``, ``user``, ``experiment``, ``submitted_at``, ``steps``, ``status``,
-        ``started_at``, ``ended_at``, ``why``, ``paused``, ``closing``, ``campaign``, ``busy``, ``due_at``."""
-        return self._get(f"/runs/{in_path(run)}", wait=wait)
 
     def cancel(self, run: str, by: str = "somebody", *, stay: bool = False, why: str = "") -> None:
         """Cancel a run. The run ends as soon as its actions under way have ended. If its workflow has steps
@@ -99,31 +56,6 @@ class WorkOperations(Calls):
     def resume(self, run: str, by: str = "somebody") -> None:
         """Resume a paused run. Raises Refused."""
         self._post("/runs/{run}/resume", locals(), repeat=True)
-
-    def _start_experiment(
-        self,
-        name: str,
-        user: str,
-        *,
-        closing: Mapping[str, Any] | None = None,
-        parking: Sequence[str] = (),
-        payload: Mapping[str, Any] | None = None,
-        workcell: str = "",
-        priority: int = 0,
-        propose: bool = False,
-        request: str = "",
-    ) -> dict[str, Any]:
-        """Start an experiment. An application starts. From now on it has to send a note or a heartbeat at
-        least every 30 s; otherwise LabOS asks a person. A run of the experiment is refused if it would leave
-        labware anywhere except at the ``parking`` stations, in storage or in a waste station. ``name``: its
-        name. ``user``: the user who asks; ignored in a lab that has users, where it is the user who has
-        signed in. ``closing``: the workflow that clears away the labware which the experiment leaves parked.
-        ``parking``: stations where the experiment may leave labware between its runs; left out: everywhere.
-        ``payload``: values for the closing workflow. ``workcell``: needed if the lab has several.
-        ``priority``: of its runs; 0. ``propose``: wait for an approval, also if the policy does not require
-        one. Returns ``experiment``, ``approval``. Raises NotFound, Refused, BadInput."""
-        payload = payload or {}
-        return self._post("/experiments", locals(), once=True)
 
     def resume_experiment(self, experiment: str, name: str, user: str = "") -> None:
         """Resume an experiment. The application was started again and continues its experiment. A question
@@ -167,29 +99,6 @@ class WorkOperations(Calls):
         """List the campaigns that have not been completed."""
         return self._get("/campaigns")["campaigns"]
 
-    def _submit_campaign_file(
-        self,
-        text: str,
-        workflow: Mapping[str, Any],
-        user: str,
-        *,
-        name: str = "campaign",
-        files: Mapping[str, bytes] | None = None,
-        dry_run: bool = False,
-        propose: bool = False,
-        request: str = "",
-    ) -> dict[str, Any]:
-        """Check a campaign and submit it. The campaign is checked row by row. If a row cannot be carried out,
-        nothing is submitted, and ``details`` of the problem lists each fault with its row. ``text``: the
-        campaign file. ``workflow``: the workflow, with the files that it names. ``user``: the user who asks;
-        ignored in a lab that has users, where it is the user who has signed in. ``name``: the name of the
-        file in error messages. ``files``: the table file of the campaign, in base64, by the name that the
-        campaign file uses. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy
-        does not require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused,
-        BadInput."""
-        files = files or {}
-        return self._post("/campaigns", locals(), once=True, timeout_s=900.0)
-
     def campaign(self, campaign: str) -> dict[str, Any]:
         """Show the progress and the terms of a campaign that has not been completed. Returns ``id``,
         ``name``, ``user``, ``workflow``, ``workcell``, ``status``, ``why``, ``rows``, ``queued``, ``active``,
@@ -225,14 +134,7 @@ class WorkOperations(Calls):
         until: str | None = None,
         stop_after: int | None = None,
     ) -> dict[str, Any]:
-        """Change the terms of a campaign. Fields that are left out do not change. A change that allows the
-        campaign more may need an approval; until then, the terms in the answer are valid. ``priority``: the
-        priority of rows that are submitted from now on. ``deadline``: a time, or a duration from now
-        (``12h``); empty for none. ``runs``: the largest number of runs; 0 for no limit. ``lab_time_s``: the
-        most module time, in lab seconds; 0 for no limit. ``consumables``: the largest amounts, by kind of
-        consumable. ``tags``: its tags; they replace the present ones. ``until``: the stop rule; empty for
-        none. ``stop_after``: the number of failed runs at which the campaign stops; 0 for no limit. Returns
-        ``campaign``, ``terms``, ``approval``. Raises Refused."""
+        """Change the terms of a campaign."""
         return self._post("/campaigns/{campaign}/amend", locals(), repeat=True)
 
     def _clone_a_campaign(
@@ -254,17 +156,7 @@ class WorkOperations(Calls):
         propose: bool = False,
         request: str = "",
     ) -> dict[str, Any]:
-        """Submit a copy of a campaign. The copy has the same rows and the same workflow, and is checked like
-        a new campaign. It belongs to the user who asks. A campaign that has ended can be copied too. Fields
-        that are left out are as in the original, except the deadline: the copy has none. ``priority``: the
-        priority of rows that are submitted from now on. ``deadline``: a time, or a duration from now
-        (``12h``); empty for none. ``runs``: the largest number of runs; 0 for no limit. ``lab_time_s``: the
-        most module time, in lab seconds; 0 for no limit. ``consumables``: the largest amounts, by kind of
-        consumable. ``tags``: its tags; they replace the present ones. ``until``: the stop rule; empty for
-        none. ``stop_after``: the number of failed runs at which the campaign stops; 0 for no limit. ``name``:
-        the name of the new campaign; empty: the name of the original. ``visibility``: who sees it: lab, group
-        or private. ``dry_run``: only check it. ``propose``: wait for an approval, also if the policy does not
-        require one. Returns ``campaign``, ``estimate``, ``approval``. Raises NotFound, Refused, BadInput."""
+        """Submit a copy of a campaign."""
         return self._post("/campaigns/{campaign}/clone", locals(), once=True, timeout_s=900.0)
 
     def archive_campaign(self, campaign: str, by: str, *, undo: bool = False) -> None:
@@ -280,13 +172,6 @@ class WorkOperations(Calls):
         """Apply a shares file with weights and quotas. ``text``: the file. ``file``: the name of the file in
         error messages. Raises Refused, BadInput."""
         self._post("/shares", {"text": text, "name": file, "by": by}, repeat=True)
-
-    def _list_approvals(self, *, after: str = "", limit: int = 100) -> dict[str, Any]:
-        """List the submissions that wait for an approval. A page of them, the oldest first. While there are
-        ``more``, ask for the next page with ``after`` = the last ``subject``. ``after``: only submissions
-        after this one; all of them if it no longer waits. ``limit``: the largest number in an answer; 100 if
-        left out. Returns ``approvals``, ``more``."""
-        return self._get("/approvals", after=after, limit=limit)
 
     def approval_of(self, subject: str) -> dict[str, Any]:
         """Show a submission that waits for an approval, and how it differs from the last approved one.
@@ -403,38 +288,9 @@ class WorkOperations(Calls):
         propose: bool = False,
         due: str = "",
     ) -> dict[str, Any]:
-        """Forecast when a run would start and end, without submitting it. Nothing is submitted or stored. The
-        run counts as approved. ``workflow``: the workflow, with the files that it names. ``user``: the user
-        who asks; ignored in a lab that has users, where it is the user who has signed in. ``payload``: values
-        for the workflow. ``workcell``: needed if the lab has several. ``priority``: higher goes first; 0.
-        ``experiment``: the experiment to which the run belongs; it must belong to the same user. ``place``:
-        labware that was put on the bench for the run; recorded with the run, or not at all. ``propose``: wait
-        for an approval, also if the policy does not require one. ``due``: the time by which the run should
-        end: a time, or a duration from now (``12h``); empty: none. Returns ``forecast``, ``warnings``. Raises
-        NotFound, Refused, BadInput."""
+        """Forecast when a run would start and end, without submitting it."""
         payload = payload or {}
         return self._post("/runs/forecast", locals(), repeat=True, timeout_s=180.0)
-
-    def _forecast_campaign_file(
-        self,
-        text: str,
-        workflow: Mapping[str, Any],
-        user: str,
-        *,
-        name: str = "campaign",
-        files: Mapping[str, bytes] | None = None,
-        dry_run: bool = False,
-        propose: bool = False,
-    ) -> dict[str, Any]:
-        """Forecast a campaign and its needs, without submitting it. The campaign is checked row by row.
-        Nothing is submitted or stored. It counts as approved. ``text``: the campaign file. ``workflow``: the
-        workflow, with the files that it names. ``user``: the user who asks; ignored in a lab that has users,
-        where it is the user who has signed in. ``name``: the name of the file in error messages. ``files``:
-        the table file of the campaign, in base64, by the name that the campaign file uses. ``dry_run``: only
-        check it. ``propose``: wait for an approval, also if the policy does not require one. Returns
-        ``estimate``, ``forecast``. Raises NotFound, Refused, BadInput."""
-        files = files or {}
-        return self._post("/campaigns/forecast", locals(), repeat=True, timeout_s=900.0)
 
     def actions(self, module: str) -> dict[str, Any]:
         """List the actions of a module. The actions and their arguments, as a step of a workflow uses them.
@@ -470,15 +326,7 @@ class WorkOperations(Calls):
         propose: bool = False,
         due: str = "",
     ) -> dict[str, Any]:
-        """Check a run of a workflow without submitting it. Nothing is submitted or stored. ``workflow``: the
-        workflow, with the files that it names. ``user``: the user who asks; ignored in a lab that has users,
-        where it is the user who has signed in. ``payload``: values for the workflow. ``workcell``: needed if
-        the lab has several. ``priority``: higher goes first; 0. ``experiment``: the experiment to which the
-        run belongs; it must belong to the same user. ``place``: labware that was put on the bench for the
-        run; recorded with the run, or not at all. ``propose``: wait for an approval, also if the policy does
-        not require one. ``due``: the time by which the run should end: a time, or a duration from now
-        (``12h``); empty: none. Returns ``workflow``, ``workcell``, ``steps``, ``demand``, ``approval``,
-        ``refusal``, ``warnings``. Raises NotFound, Refused, BadInput."""
+        """Check a run of a workflow without submitting it."""
         payload = payload or {}
         return self._post("/runs/check", locals(), repeat=True)
 

@@ -264,7 +264,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
 
 @submit(
     route="POST /samples",
-    client=Method("_register_sheet", take="plates", repeat=True),
+    client=Method("load_samples", by_hand=True),
     summary="Register the samples in the wells of plates",
     status=201,
     example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
