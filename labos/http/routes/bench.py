@@ -272,16 +272,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
 )
 async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     """A sheet with faults is refused completely; the answer lists the places of all faults."""
-    plates = await register_samples(
-        call.service,
-        body.text,
-        body.name,
-        body.by,
-        labware=body.labware,
-        station=body.station,
-        replace=body.replace,
-    )
-    return SampleCounts(plates)
+    return SampleCounts(await register_samples(call.service, body, body.by))
 
 
 def _sight(service: LabService, place: StationName, what: str, by: str) -> ObserveStation:
