@@ -59,7 +59,7 @@ class LabClient(RunCalls):
         return self._list_nodes(modules, check=True)
 
     def _list_nodes(self, modules: Sequence[str], *, check: bool) -> list[dict[str, Any]]:
-        return list(self._get("/nodes", module=modules, check=int(check))["modules"])
+        return list(self._get("/nodes", {"module": modules, "check": check})["modules"])
 
     def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
         """The content of a file that a step has returned: for example ``result["picture"]``, or its SHA-256.
@@ -118,7 +118,8 @@ class LabClient(RunCalls):
     ) -> Iterator[list[dict[str, Any]]]:
         usual_s = LONG_POLL_S if follow else 0.0
         while True:
-            page = self._get("/events", after=after, wait=usual_s if wait_s is None else wait_s, **filters)
+            asked = {"after": after, "wait": usual_s if wait_s is None else wait_s, **filters}
+            page = self._get("/events", asked)
             yield page["events"]
             if page["position"] <= after and not follow:
                 return
@@ -134,7 +135,7 @@ class LabClient(RunCalls):
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
         """A page of events as the lab sends it, with the position at which the next page begins."""
-        return self._fetch("/events", **asked)
+        return self._fetch("/events", asked)
 
     # -- experiments -------------------------------------------------------------------------
 
@@ -248,7 +249,8 @@ class LabClient(RunCalls):
         found: list[dict[str, Any]] = []
         more = True
         while more:
-            page = self._get("/approvals", after=found[-1]["subject"] if found else "", limit=PAGE)
+            after = found[-1]["subject"] if found else ""
+            page = self._get("/approvals", {"after": after, "limit": PAGE})
             found += page["approvals"]
             more = page["more"] and bool(page["approvals"])
         return found

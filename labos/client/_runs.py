@@ -11,7 +11,7 @@ import msgspec
 
 from labos import errors
 from labos.client._batches import BatchRun, cut_into_batches, list_runs, merge_files
-from labos.client._calls import LONG_POLL_S, in_path
+from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
 from labos.client._generated.lab_operations import LabOperations
 from labos.client._generated.work_operations import WorkOperations
@@ -37,7 +37,7 @@ class RunCalls(LabOperations, WorkOperations):
 
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
-        result = msgspec.convert(self._get(f"/runs/{in_path(run)}", wait=wait_s), RunResult)
+        result = msgspec.convert(self._get("/runs/{run}", {"run": run, "wait": wait_s}), RunResult)
         vars(result)["_lab"] = self
         return result
 
@@ -152,13 +152,13 @@ class RunCalls(LabOperations, WorkOperations):
             left_s = LONG_POLL_S if deadline is None else min(deadline - time.monotonic(), LONG_POLL_S)
             if left_s <= 0 and is_known:
                 raise TimeoutError(f"{len(waiting)} runs have not ended.")
-            page = self._get(
-                "/events",
-                after=after,
-                wait=left_s if is_known else 0.0,
-                type=list(RUN_ENDS),
-                stream=sorted(waiting) if len(waiting) <= MOST_STREAMS else [],
-            )
+            asked = {
+                "after": after,
+                "wait": left_s if is_known else 0.0,
+                "type": list(RUN_ENDS),
+                "stream": sorted(waiting) if len(waiting) <= MOST_STREAMS else [],
+            }
+            page = self._get("/events", asked)
             ended = [event["stream"] for event in page["events"] if event["stream"] in waiting]
             if not page["events"] and not is_known:
                 is_known = True  # the ended ones were found: all others have not ended, or do not exist

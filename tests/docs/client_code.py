@@ -167,11 +167,11 @@ def method_of(operation: Operation) -> str:
 def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
     method = operation.client
     left_out = [f"{field.parameter} = {field.parameter} or {{}}" for field in fields if field.is_empty_table]
+    asked = [f'"{operation.path}"', _write_said(operation, fields)]
     if operation.method == "GET":
-        ask, asked = "_get" if operation.media == (JSON,) else "_fetch", list(_write_query(operation, fields))
+        ask = "_get" if operation.media == (JSON,) else "_fetch"
     else:
-        options = _options(method, fields)
-        ask, asked = "_post", [f'"{operation.path}"', _write_said(operation, fields), *options]
+        ask, asked = "_post", [*asked, *_options(method, fields)]
     call = f"self.{ask}({', '.join(asked)})"
     if ask == "_fetch":
         return "bytes", [f"return {call}"]
@@ -182,18 +182,6 @@ def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, lis
     kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
     result = find_answer_type(kind)
     return result, [*left_out, f'return {call}["{method.take}"]']
-
-
-def _write_query(operation: Operation, fields: Sequence[Field]) -> Iterator[str]:
-    """The path with its names, and what is asked for."""
-    path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
-    # The name of a module may have a slash: `rpl/sealer`.
-    path = path.replace("in_path(module)", "in_path(module, 2)")
-    yield f'f"{path}"' if "{" in path else f'"{path}"'
-    for field in fields:
-        if field.place == "query":
-            yield f"{field.sent}=" + (f"int({field.parameter})" if field.type == "bool" else field.parameter)
-    yield from (f"{name}={value!r}" for name, value in operation.client.fixed.items())
 
 
 def _write_said(operation: Operation, fields: Sequence[Field]) -> str:
@@ -294,7 +282,7 @@ def _write_class(name: str, operations: Sequence[Operation]) -> str:
     return (
         "\n".join(head) + "\n\nfrom __future__ import annotations\n\n"
         "from collections.abc import Mapping, Sequence\nfrom typing import Any\n\n"
-        "from labos.client._calls import Calls, in_path\n\n\n"
+        "from labos.client._calls import Calls\n\n\n"
         f'class {name}(Calls):\n    """One method for each operation."""\n\n{body}\n'
     )
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos.client._calls import Calls, in_path
+from labos.client._calls import Calls
 
 
 class LabOperations(Calls):
@@ -16,21 +16,21 @@ class LabOperations(Calls):
         """Show whether the kernel works. Probes can use ``/health``, which answers ``{"status": …}`` and
         needs no user. Returns ``status``, ``lab``, ``name``, ``epoch``, ``position``, ``suspended``,
         ``simulated``, ``pace``, ``broken_drivers``, ``log_check``."""
-        return self._get("/health")
+        return self._get("/health", locals())
 
     def state(self, *, waits: bool = True) -> dict[str, Any]:
         """Show the present state of the lab. Requests at the same time share one answer, which is newer than
         each of them. ``waits``: whether to give the reasons why runs wait, which takes time to compute; true
         if left out. Returns ``lab``, ``position``, ``now``, ``modules``, ``stations``, ``labware``, ``runs``,
         ``queued``, ``interventions``, ``experiments``, ``resources``."""
-        return self._get("/state", waits=int(waits))
+        return self._get("/state", locals())
 
     def inventory(self) -> dict[str, Any]:
         """Show the resources that are left, and when they run out. Levels and lots of all resources, the
         content of stacks, the room in waste stations, and in ``runs_out`` the first run that would have too
         little. Times are in UTC nanoseconds. Returns ``resources``, ``stacks``, ``runs_looked_at``,
         ``wastes``."""
-        return self._get("/inventory")
+        return self._get("/inventory", locals())
 
     def emergency_stop(self, target: str, by: str = "somebody") -> dict[str, Any]:
         """Stop modules at once, in an emergency. The stop does not wait for the log; it is logged afterwards.
@@ -89,12 +89,12 @@ class LabOperations(Calls):
     def identity(self) -> dict[str, Any]:
         """Show the user who asks, and the user's rights. Returns ``user``, ``how``, ``scope``, ``kind``,
         ``group``, ``roles``, ``name``, ``mail``, ``until``."""
-        return self._get("/whoami")
+        return self._get("/whoami", locals())
 
     def tokens(self, user: str = "") -> list[dict[str, Any]]:
         """Tokens of programs. The answer has no secrets: the lab does not store them. ``user``: the owner;
         only admins may name another user."""
-        return self._get("/tokens", user=user)["tokens"]
+        return self._get("/tokens", locals())["tokens"]
 
     def make_token(
         self, label: str = "", *, scope: str = "submitter", days: float = 90.0, user: str = ""
@@ -112,7 +112,7 @@ class LabOperations(Calls):
 
     def people(self) -> list[dict[str, Any]]:
         """List the names of users."""
-        return self._get("/people")["people"]
+        return self._get("/people", locals())["people"]
 
     def set_password(self, user: str, password: str, present: str = "") -> None:
         """Change a user's password. All sessions of the user end; tokens stay. ``password``: the new
@@ -177,7 +177,7 @@ class LabOperations(Calls):
     def locations(self, module: str) -> dict[str, dict[str, Any]]:
         """Show the poses of a manipulator by station. Version 0 is the pose of the workcell file. Poses for
         particular labware types are under ``types``."""
-        return self._get(f"/modules/{in_path(module, 2)}/locations")["locations"]
+        return self._get("/modules/{module}/locations", locals())["locations"]
 
     def teach(
         self,
@@ -224,7 +224,7 @@ class LabOperations(Calls):
     def bookings(self, target: str = "") -> list[dict[str, Any]]:
         """List the bookings. The bookings that have not ended, in the order of their next times. ``target``:
         only those of this workcell, or of this module (including those of its workcell). Raises NotFound."""
-        return self._get("/bookings", target=target)["bookings"]
+        return self._get("/bookings", locals())["bookings"]
 
     def book(
         self,
@@ -259,7 +259,7 @@ class LabOperations(Calls):
         """A booking. Returns ``id``, ``target``, ``begins_at``, ``ends_at``, ``user``, ``group``,
         ``maintenance``, ``why``, ``zone``, ``rule``, ``last_at``, ``by``, ``now``, ``next_begins_at``,
         ``next_ends_at``, ``skipped_at``, ``over``."""
-        return self._get(f"/bookings/{in_path(booking)}")
+        return self._get("/bookings/{booking}", locals())
 
     def change_booking(
         self,
@@ -300,13 +300,13 @@ class LabOperations(Calls):
         of the period (UTC nanoseconds); 0: now. ``until``: the end of the period (UTC nanoseconds); 0: a
         week. ``target``: only those of this workcell, or of this module (including those of its workcell).
         Returns ``since``, ``until``, ``times``. Raises NotFound."""
-        return self._get("/calendar", since=since, until=until, target=target)
+        return self._get("/calendar", locals())
 
     def calendar_file(self, target: str = "") -> bytes:
         """The calendar for calendar programs. All bookings as iCalendar (RFC 5545). A calendar program
         subscribes to it with a token of scope ``viewer`` in the address. ``target``: only those of this
         workcell, or of this module (including those of its workcell). Raises NotFound."""
-        return self._fetch("/calendar.ics", target=target)
+        return self._fetch("/calendar.ics", locals())
 
     def resolve(self, intervention: str, choice: str, by: str, note: str = "", result: Any = None) -> None:
         """Answer a question. ``choice``: the name of one of its answers. ``note``: a comment. ``result``: the
@@ -360,7 +360,7 @@ class LabOperations(Calls):
         lost its end, and the stations that have to be reported before anything starts. If the log is
         complete, the answer is empty. Returns ``intervention``, ``ended``, ``known``, ``evidence``,
         ``discovered``, ``not_known``, ``stations``."""
-        return self._get("/round")
+        return self._get("/round", locals())
 
     def say(
         self,
@@ -395,7 +395,7 @@ class LabOperations(Calls):
 
     def users(self) -> list[dict[str, Any]]:
         """List the users and their roles."""
-        return self._get("/users")["users"]
+        return self._get("/users", locals())["users"]
 
     def add_user(
         self, user: str, by: str, *, kind: str = "person", role: str | None = None, scope: str = "*"
@@ -411,7 +411,7 @@ class LabOperations(Calls):
     def user(self, user: str) -> dict[str, Any]:
         """Show a user and the user's roles. Returns ``id``, ``kind``, ``disabled``, ``since``, ``group``,
         ``roles``."""
-        return self._get(f"/users/{in_path(user)}")
+        return self._get("/users/{user}", locals())
 
     def disable_user(self, user: str, by: str) -> None:
         """Disable a user. The user may no longer do anything. The user's runs continue; the user's campaigns
@@ -424,7 +424,7 @@ class LabOperations(Calls):
 
     def groups(self) -> list[dict[str, Any]]:
         """Groups, their members and their roles."""
-        return self._get("/groups")["groups"]
+        return self._get("/groups", locals())["groups"]
 
     def add_group(self, group: str, by: str) -> None:
         """Add a group. The group has weight 1; a shares file may set another weight. ``group``: its name.
@@ -457,7 +457,7 @@ class LabOperations(Calls):
 
     def erasures(self) -> list[dict[str, Any]]:
         """List the erasures that wait for a second person."""
-        return self._get("/words/erasures")["erasures"]
+        return self._get("/words/erasures", locals())["erasures"]
 
     def erase_words(
         self, because: str, by: str, *, records: Sequence[int] = (), user: str = ""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from labos.client._calls import Calls, in_path
+from labos.client._calls import Calls
 
 
 class WorkOperations(Calls):
@@ -20,7 +20,7 @@ class WorkOperations(Calls):
         this position. ``limit``: the largest number of runs that have not ended; 100 if left out. ``ended``:
         also answer this number of ended runs. ``before``: only ended runs that ended before this position.
         Returns ``runs``, ``position``, ``more``, ``ended_position``."""
-        return self._get("/runs", after=after, limit=limit, ended=ended, before=before)
+        return self._get("/runs", locals())
 
     def _submit_runs(
         self,
@@ -97,14 +97,14 @@ class WorkOperations(Calls):
 
     def campaigns(self) -> list[dict[str, Any]]:
         """List the campaigns that have not been completed."""
-        return self._get("/campaigns")["campaigns"]
+        return self._get("/campaigns", locals())["campaigns"]
 
     def campaign(self, campaign: str) -> dict[str, Any]:
         """Show the progress and the terms of a campaign that has not been completed. Returns ``id``,
         ``name``, ``user``, ``workflow``, ``workcell``, ``status``, ``why``, ``rows``, ``queued``, ``active``,
         ``completed``, ``failed``, ``cancelled``, ``refused``, ``left``, ``lab_time_s``, ``used``, ``terms``,
         ``visibility``, ``cloned_from``."""
-        return self._get(f"/campaigns/{in_path(campaign)}")
+        return self._get("/campaigns/{campaign}", locals())
 
     def pause_campaign(self, campaign: str, by: str, *, why: str = "") -> None:
         """Pause a campaign: no further row is submitted. Its waiting runs are paused; runs that have started
@@ -166,7 +166,7 @@ class WorkOperations(Calls):
 
     def shares(self) -> list[dict[str, Any]]:
         """Show each user's share of the lab, and the use so far. Returns the accounts."""
-        return self._get("/shares")["accounts"]
+        return self._get("/shares", locals())["accounts"]
 
     def apply_shares(self, text: str, file: str, by: str) -> None:
         """Apply a shares file with weights and quotas. ``text``: the file. ``file``: the name of the file in
@@ -176,13 +176,13 @@ class WorkOperations(Calls):
     def approval_of(self, subject: str) -> dict[str, Any]:
         """Show a submission that waits for an approval, and how it differs from the last approved one.
         Returns ``proposal``, ``differences``."""
-        return self._get(f"/approvals/{in_path(subject)}")
+        return self._get("/approvals/{subject}", locals())
 
     def approval_forecast(self, subject: str) -> dict[str, Any]:
         """Forecast a submission that waits for an approval. The forecast assumes that the submission is
         approved now, without changes. This does not approve it. An experiment cannot be forecast, because its
         application decides while it runs. Returns ``forecast``, ``consumables``. Raises Refused."""
-        return self._get(f"/approvals/{in_path(subject)}/forecast")
+        return self._get("/approvals/{subject}/forecast", locals())
 
     def approve(
         self,
@@ -219,7 +219,7 @@ class WorkOperations(Calls):
     def policy(self) -> dict[str, Any]:
         """Show the policy: which submissions need an approval, and the highest priority. Returns ``applied``,
         ``policy``."""
-        return self._get("/policy")
+        return self._get("/policy", locals())
 
     def apply_policy(self, text: str, file: str, by: str) -> None:
         """Apply a policy file. Submissions that wait already continue to wait. ``text``: the file. ``file``:
@@ -238,7 +238,7 @@ class WorkOperations(Calls):
     def signatures(self, run: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a run. They are in the order of the log. ``holds``: the
         record is still the one that was signed. Raises NotFound."""
-        return self._get(f"/runs/{in_path(run)}/signatures")["signatures"]
+        return self._get("/runs/{run}/signatures", locals())["signatures"]
 
     def sign_experiment(
         self, experiment: str, meaning: str, password: str, *, why: str = ""
@@ -253,7 +253,7 @@ class WorkOperations(Calls):
     def experiment_signatures(self, experiment: str) -> list[dict[str, Any]]:
         """List the signatures for the record of an experiment. They are in the order of the log. ``holds``:
         the records are still those that were signed. Raises NotFound."""
-        return self._get(f"/experiments/{in_path(experiment)}/signatures")["signatures"]
+        return self._get("/experiments/{experiment}/signatures", locals())["signatures"]
 
     def sign_campaign(self, campaign: str, meaning: str, password: str, *, why: str = "") -> dict[str, Any]:
         """Sign the record of a campaign that has ended. It works as for a run. The signature covers all
@@ -266,14 +266,14 @@ class WorkOperations(Calls):
     def campaign_signatures(self, campaign: str) -> list[dict[str, Any]]:
         """List the signatures for the record of a campaign. They are in the order of the log. ``holds``: the
         records are still those that were signed. Raises NotFound."""
-        return self._get(f"/campaigns/{in_path(campaign)}/signatures")["signatures"]
+        return self._get("/campaigns/{campaign}/signatures", locals())["signatures"]
 
     def forecast(self) -> dict[str, Any]:
         """Forecast when runs start and end, and when a person is needed. LabOS simulates the lab in virtual
         time with durations from its log. The simulation assumes that nothing fails and nobody refills a
         resource. The ranges are as wide as the errors of earlier forecasts. It covers the first 200 waiting
         runs. Returns ``forecast``, ``drifts``. Raises Refused."""
-        return self._get("/forecast")
+        return self._get("/forecast", locals())
 
     def _forecast_run(
         self,
@@ -295,13 +295,13 @@ class WorkOperations(Calls):
     def actions(self, module: str) -> dict[str, Any]:
         """List the actions of a module. The actions and their arguments, as a step of a workflow uses them.
         Returns ``module``, ``driver``, ``description``, ``actions``."""
-        return self._get(f"/modules/{in_path(module, 2)}/actions")
+        return self._get("/modules/{module}/actions", locals())
 
     def suggested_order(self, workcell: str) -> dict[str, Any]:
         """Show the order that a planner suggests for the next steps of a workcell. Steps that have started,
         or whose run has ended, are not in the answer. Returns ``workcell``, ``by``, ``until``, ``steps``.
         Raises NotFound."""
-        return self._get(f"/workcells/{in_path(workcell)}/order")
+        return self._get("/workcells/{workcell}/order", locals())
 
     def suggest_order(
         self, workcell: str, steps: Sequence[Mapping[str, Any]], until: int, position: int = 0, *, by: str
@@ -363,20 +363,4 @@ class WorkOperations(Calls):
         out. ``offset``: the number of entries to skip. ``facets``: whether to count how many there are of
         each user, workcell and so on. Returns ``entries``, ``total``, ``facets``, ``position``, ``behind``.
         Raises Refused."""
-        return self._get(
-            "/find",
-            words=words,
-            kind=kind,
-            user=user,
-            workcell=workcell,
-            workflow=workflow,
-            experiment=experiment,
-            run=run,
-            status=status,
-            keyword=keyword,
-            since=since,
-            until=until,
-            limit=limit,
-            offset=offset,
-            facets=int(facets),
-        )
+        return self._get("/find", locals())
