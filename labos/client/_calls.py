@@ -60,12 +60,14 @@ def in_path(name: str, parts: int = 1) -> str:
 _NO_NAME = re.compile(r"[\x00-\x1f\x7f\\\ud800-\udfff]")
 
 
-def fill_path(path: str, values: dict[str, Any]) -> str:
-    """A path with the values of the names in braces, which are taken out of ``values``. The name of a module
-    may have a slash: ``rpl/sealer``. Raises BadInput."""
-    return re.sub(
-        r"\{(\w+)\}", lambda found: in_path(values.pop(found[1]), 2 if found[1] == "module" else 1), path
+def fill_path(path: str, values: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """A path with the values of the names in braces, and the other ``values``. The name of a module may have
+    a slash: ``rpl/sealer``. Raises BadInput."""
+    left = {name: value for name, value in values.items() if name != "self"}
+    filled = re.sub(
+        r"\{(\w+)\}", lambda found: in_path(left.pop(found[1]), 2 if found[1] == "module" else 1), path
     )
+    return filled, left
 
 
 def make_plain(value: Any) -> Any:
@@ -131,13 +133,16 @@ class Calls:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _get(self, path: str, **params: Any) -> dict[str, Any]:
-        """Send a GET request. Raises the LabosError that the lab reports, LabUnreachable."""
-        return self._ask("GET", path, params=params, repeat=True)
+    def _get(self, path: str, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a GET request with a method's parameters, ``locals()``: those in braces in the ``path``, all
+        others in the query. Raises the LabosError that the lab reports, LabUnreachable."""
+        path, query = fill_path(path, values)
+        return self._ask("GET", path, params=query, repeat=True)
 
-    def _fetch(self, path: str, **params: Any) -> bytes:
+    def _fetch(self, path: str, values: Mapping[str, Any]) -> bytes:
         """The content of the answer. Raises as ``_get``."""
-        response = self._request("GET", path, repeat=True, params=params)
+        path, query = fill_path(path, values)
+        response = self._request("GET", path, repeat=True, params=query)
         if response.status_code >= 400:
             answer_of(response.status_code, response.content)
         return bytes(response.content)
@@ -156,10 +161,9 @@ class Calls:
         the body. With ``once`` the request has a key (the parameter ``request``, or a new one), and is
         carried out once, however often it is sent; ``repeat`` marks a request that may be carried out twice.
         With ``as_user`` the parameter ``user`` is sent as a header. Raises as ``_get``."""
-        body = {name: value for name, value in values.items() if name != "self"}
+        path, body = fill_path(path, values)
         request = body.pop("request", "") or (self._ids.new() if once else "")
         user = body.pop("user") if as_user else ""
-        path = fill_path(path, body)
         headers = {"content-type": "application/json"}
         if request:
             headers["idempotency-key"] = request

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 PAGE = 500
 """The number of proposals in an answer."""
 
+CHECKED_S = 900.0
+"""How long the lab may take to check all rows of a campaign."""
+
 _SHA256 = re.compile("[0-9a-f]{64}")
 
 
@@ -46,14 +49,17 @@ class LabClient(RunCalls):
     def ask_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, str]]:
         """The present answers of the nodes of these modules, or of all: ``name``, ``answer`` (IDLE, BUSY,
         ERROR, silent, frozen, refused, out, absent) and ``why``."""
-        return self._list_nodes(module=modules)
+        return self._list_nodes(modules, check=False)
 
     def check_nodes(self, modules: Sequence[str] = ()) -> list[dict[str, Any]]:
         """As ``ask_nodes``; each that answers also has ``checked``: its ``driver`` with ``version``, its
         ``labos`` and ``protocol``, whether it is ``simulated``, the ``unit`` (serial number) to which it is
         pinned, and its device's observations (``sees``), or the reason why there are none (``sees_nothing``).
         Nothing moves."""
-        return self._list_nodes(module=modules, check=True)
+        return self._list_nodes(modules, check=True)
+
+    def _list_nodes(self, modules: Sequence[str], *, check: bool) -> list[dict[str, Any]]:
+        return list(self._get("/nodes", {"module": modules, "check": check})["modules"])
 
     def file(self, file: str | Mapping[str, Any], *, first: int = 0, last: int | None = None) -> bytes:
         """The content of a file that a step has returned: for example ``result["picture"]``, or its SHA-256.
@@ -112,7 +118,8 @@ class LabClient(RunCalls):
     ) -> Iterator[list[dict[str, Any]]]:
         usual_s = LONG_POLL_S if follow else 0.0
         while True:
-            page = self._get("/events", after=after, wait=usual_s if wait_s is None else wait_s, **filters)
+            asked = {"after": after, "wait": usual_s if wait_s is None else wait_s, **filters}
+            page = self._get("/events", asked)
             yield page["events"]
             if page["position"] <= after and not follow:
                 return
@@ -128,7 +135,7 @@ class LabClient(RunCalls):
 
     def page_of_events(self, asked: Mapping[str, Any]) -> bytes:
         """A page of events as the lab sends it, with the position at which the next page begins."""
-        return self._fetch("/events", **asked)
+        return self._fetch("/events", asked)
 
     # -- experiments -------------------------------------------------------------------------
 
@@ -147,17 +154,11 @@ class LabClient(RunCalls):
     ) -> str:
         """Prefer ``Experiment``. After 30 s without a heartbeat, LabOS asks a person about the experiment.
         The same ``request`` twice is one experiment."""
-        answer = self._start_experiment(
-            name,
-            user,
-            closing=None if closing is None else workflow_text(closing, payload),
-            payload=payload,
-            workcell=workcell,
-            priority=priority,
-            parking=parking,
-            propose=propose,
-            request=request,
-        )
+        asked = locals() | {
+            "closing": None if closing is None else workflow_text(closing, payload),
+            "payload": payload or {},
+        }
+        answer = self._post("/experiments", asked, once=True)
         self.warnings = []
         self._note_approval(answer)
         return str(answer["experiment"])
@@ -177,13 +178,16 @@ class LabClient(RunCalls):
         """Change a workcell to the content of its file. With ``dry_run``, only return the changes and the
         obstacles. ``labware`` contains the labware files that the workcell file names, ``files`` the other
         files, such as tables of drivers: the lab reads no other files."""
-        return self._change_workcell(text, by, name=file, dry_run=dry_run, labware=labware, files=files)
+        asked = {"text": text, "by": by, "name": file, "dry_run": dry_run}
+        sent = {"labware": labware or {}, "files": files or {}}
+        return self._post("/workcells", {**asked, **sent}, repeat=True)
 
     def leave(self, workcell: str, by: str, changed: Sequence[tuple[str, str]] = (), note: str = "") -> None:
         """Report that no person is in the workcell any more, and the present content of changed stations:
         ``empty``, labware by its id, or a labware type."""
         changes = [{"station": station, "what": what} for station, what in changed]
-        self._end_workcell_access(workcell, by, note=note, changed=changes)
+        asked = {"workcell": workcell, "by": by, "note": note, "changed": changes}
+        self._post("/workcells/{workcell}/access/end", asked)
 
     def load_samples(
         self,
@@ -197,8 +201,9 @@ class LabClient(RunCalls):
         """Register the samples in the wells of plates, from a CSV file; ``labware`` or ``station`` names the
         plate if the sheet does not. Returns the number of samples in each plate."""
         path = Path(sheet)
+        asked = {"text": _text_of(path), "by": by, "name": str(path), "replace": replace}
         where = {"labware": labware, "station": station}
-        return self._register_sheet(_text_of(path), by, name=str(path), replace=replace, **where)
+        return dict(self._post("/samples", {**asked, **where}, repeat=True)["plates"])
 
     # -- campaigns and approvals -------------------------------------------------------------
 
@@ -215,14 +220,15 @@ class LabClient(RunCalls):
         ``campaign`` (empty if only checked, with ``dry_run``) and its needs as ``estimate``. The same
         ``request`` twice is one campaign. With ``propose`` it waits for an approval; ``approval`` of the
         answer is the reason. Instead of a file, give a mapping with its ``text`` and its ``workflow``."""
-        return self._submit_campaign_file(
-            **campaign_text(campaign), user=user, dry_run=dry_run, request=request, propose=propose
-        )
+        options = {"user": user, "dry_run": dry_run, "request": request, "propose": propose}
+        asked = {**campaign_text(campaign), **options}
+        return self._post("/campaigns", asked, once=True, timeout_s=CHECKED_S)
 
     def forecast_campaign(self, campaign: str | Path | Mapping[str, Any], *, user: str) -> dict[str, Any]:
         """Check a campaign file as ``submit_campaign`` does, and submit nothing. Returns its needs as
         ``estimate``, and its expected times and the delays of others as ``forecast``."""
-        return self._forecast_campaign_file(**campaign_text(campaign), user=user)
+        asked = {**campaign_text(campaign), "user": user}
+        return self._post("/campaigns/forecast", asked, repeat=True, timeout_s=CHECKED_S)
 
     def amend_campaign(self, campaign: str, by: str, **changes: Any) -> dict[str, Any]:
         """Change the terms of a campaign. Returns the terms in force: a change that waits for an approval
@@ -243,7 +249,8 @@ class LabClient(RunCalls):
         found: list[dict[str, Any]] = []
         more = True
         while more:
-            page = self._list_approvals(after=found[-1]["subject"] if found else "", limit=PAGE)
+            after = found[-1]["subject"] if found else ""
+            page = self._get("/approvals", {"after": after, "limit": PAGE})
             found += page["approvals"]
             more = page["more"] and bool(page["approvals"])
         return found

@@ -13,13 +13,16 @@ from labos import errors
 from labos.client._batches import BatchRun, cut_into_batches, list_runs, merge_files
 from labos.client._calls import LONG_POLL_S
 from labos.client._files import step_text, workflow_text
-from labos.client._generated import GeneratedCalls
+from labos.client._generated.lab_operations import LabOperations
+from labos.client._generated.work_operations import WorkOperations
 from labos.client._progress import SHOWN_S, Progress, can_show, show_progress
 from labos.client._results import RunResult
 from labos.errors import BadInput
 
 RUN_ENDS = ("run.completed", "run.failed", "run.cancelled")
 """The types of the events with which a run ends; a test compares them with those of the core."""
+
+VERBS = ("pause", "resume", "cancel")
 
 MOST_STREAMS = 40
 """At most so many runs can be named in a query for events; for more, the ends of all runs are read."""
@@ -29,12 +32,12 @@ Put = tuple[str, str] | tuple[str, str, Mapping[str, bool]]
 """A station, the type of labware that is placed there, and its variables: ``{"sealed": True}``."""
 
 
-class RunCalls(GeneratedCalls):
+class RunCalls(LabOperations, WorkOperations):
     """Calls about one run, and about many."""
 
     def status(self, run: str, *, wait_s: float = 0.0) -> RunResult:
         """A run as it is now, or at its end if that comes within ``wait_s``."""
-        result = msgspec.convert(self._get_run(run, wait=wait_s), RunResult)
+        result = msgspec.convert(self._get("/runs/{run}", {"run": run, "wait": wait_s}), RunResult)
         vars(result)["_lab"] = self
         return result
 
@@ -58,18 +61,12 @@ class RunCalls(GeneratedCalls):
         same ``request`` twice is one run. With ``propose`` it waits for an approval, independent of the
         policy. ``due`` is the time by which it should end: a time (``2026-11-27T08:00``, in the lab's zone if
         it has none), or a duration from now (``12h``)."""
-        answer = self._submit_run(
-            workflow_text(workflow, payload),
-            user,
-            payload=payload,
-            workcell=workcell,
-            priority=priority,
-            experiment=experiment,
-            place=puts_of(place),
-            propose=propose,
-            due=due,
-            request=request,
-        )
+        asked = locals() | {
+            "workflow": workflow_text(workflow, payload),
+            "payload": payload or {},
+            "place": puts_of(place),
+        }
+        answer = self._post("/runs", asked, once=True)
         self.warnings = [_make_remark(finding) for finding in answer.get("warnings", ())]
         self._note_approval(answer)
         return str(answer["run"])
@@ -155,13 +152,13 @@ class RunCalls(GeneratedCalls):
             left_s = LONG_POLL_S if deadline is None else min(deadline - time.monotonic(), LONG_POLL_S)
             if left_s <= 0 and is_known:
                 raise TimeoutError(f"{len(waiting)} runs have not ended.")
-            page = self._get(
-                "/events",
-                after=after,
-                wait=left_s if is_known else 0.0,
-                type=list(RUN_ENDS),
-                stream=sorted(waiting) if len(waiting) <= MOST_STREAMS else [],
-            )
+            asked = {
+                "after": after,
+                "wait": left_s if is_known else 0.0,
+                "type": list(RUN_ENDS),
+                "stream": sorted(waiting) if len(waiting) <= MOST_STREAMS else [],
+            }
+            page = self._get("/events", asked)
             ended = [event["stream"] for event in page["events"] if event["stream"] in waiting]
             if not page["events"] and not is_known:
                 is_known = True  # the ended ones were found: all others have not ended, or do not exist
@@ -220,10 +217,10 @@ class RunCalls(GeneratedCalls):
     ) -> dict[str, Any]:
         """``pause``, ``resume`` or ``cancel`` a run, an experiment, a module, a workcell or the ``lab``.
         Returns the target (``kind``, ``target``) and the cancelled ``runs``."""
-        verbs = {"pause": self._pause_target, "resume": self._resume_target, "cancel": self._cancel_target}
-        if verb not in verbs:
-            raise BadInput(f"{verb!r} is not one of {', '.join(verbs)}.")
-        return verbs[verb](target, by, why=why, stay=stay)
+        if verb not in VERBS:
+            raise BadInput(f"{verb!r} is not one of {', '.join(VERBS)}.")
+        asked = {"target": target, "by": by, "why": why, "stay": stay}
+        return self._post(f"/control/{verb}", asked, repeat=True)
 
     def reset(self, module: str, by: str = "somebody") -> RunResult:
         """Reset a module that is in error, and wait for the end of the reset."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 
 from labos.errors import BadInput
-from labos.private import create_file, make_folder
+from labos.private import make_folder, replace_file
 from labos.settings import CA, HOME_KEY, TOKEN, TOKEN_FILE, last_kernel
 
 
@@ -54,10 +54,7 @@ def keep_token(place: str, token: str) -> None:
         kept.pop(place, None)
     file = tokens_file()
     make_folder(file.parent)
-    fresh = file.with_name(f".{file.name}.{os.getpid()}")
-    with create_file(fresh) as opened:
-        opened.write(msgspec.json.format(msgspec.json.encode(kept)) + b"\n")
-    os.replace(fresh, file)
+    replace_file(file, msgspec.json.format(msgspec.json.encode(kept)) + b"\n")
 
 
 def _read_kept() -> dict[str, str]:

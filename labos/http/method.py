@@ -10,8 +10,8 @@ import msgspec
 
 
 class Method(msgspec.Struct, frozen=True):
-    """``name`` begins with an underscore if a hand-written method calls the generated one; ``by_hand``: there
-    is only the hand-written one.
+    """``name`` begins with an underscore if a hand-written method passes its options on to the generated one;
+    ``by_hand``: there is only the hand-written one.
 
     ``positional`` are the first parameters, in order, as ``module, by='somebody', until_ns=until``: a value
     in quotation marks is a default, another one the name that the parameter has in the request. If it is

@@ -7,10 +7,11 @@ import asyncio
 import msgspec
 
 from labos.core.bench import Labware
-from labos.core.canonical import digest, encode_canonical
+from labos.core.canonical import encode_canonical
 from labos.core.decide.labware import PlateSamples, RegisterSamples
 from labos.core.ids import LabwareId, local
 from labos.errors import BadInput, Refused
+from labos.http.bodies import SampleSheet
 from labos.http.service import LabService
 from labos.spec import SpecErrors
 from labos.spec.findings import FindingList
@@ -20,23 +21,13 @@ LARGEST_INLINE = 16 * 1024
 """The largest number of bytes of samples in an event; more of them are stored as a blob."""
 
 
-async def register_samples(
-    service: LabService,
-    text: str,
-    name: str,
-    actor: str,
-    *,
-    labware: str = "",
-    station: str = "",
-    replace: bool = False,
-) -> dict[str, int]:
+async def register_samples(service: LabService, sheet: SampleSheet, by: str) -> dict[str, int]:
     """Register the samples in the wells of plates, all of them or none; returns the number of samples in each
-    plate. ``labware`` or ``station`` names the plate if the sheet does not. Raises SpecErrors with the
-    sheet's lines, BadInput, Refused, NotFound."""
-    service.expect_role(actor, "submitter")
-    report = FindingList(name)
-    rows = await service.run_beside(len(text), read_sheet, text, report)
-    only = _find_plate(service, labware, station)
+    plate. Raises SpecErrors with the sheet's lines, BadInput, Refused, NotFound."""
+    service.expect_role(by, "submitter")
+    report = FindingList(sheet.name)
+    rows = await service.run_beside(len(sheet.text), read_sheet, sheet.text, report)
+    only = _find_plate(service, sheet.labware, sheet.station)
     plates = _sort_by_plate(service, rows, only, report)
     for plate, lines in plates.items():
         item = service.kernel.state.bench.labware[plate]
@@ -49,9 +40,9 @@ async def register_samples(
         raise SpecErrors(report.sort_findings())
     blobs = service.parts.blobs
     # Stored before an event names them.
-    await asyncio.to_thread(blobs.put, text.encode())
+    kept = await asyncio.to_thread(blobs.put, sheet.text.encode())
     packed = [await asyncio.to_thread(_pack, service, plate, lines) for plate, lines in plates.items()]
-    await service.kernel.execute(RegisterSamples(digest(text.encode()), tuple(packed), replace), actor)
+    await service.kernel.execute(RegisterSamples(kept, tuple(packed), sheet.replace), by)
     return {str(plate.labware): plate.count for plate in packed}
 
 

@@ -20,7 +20,6 @@ import msgspec
 from msgspec import NODEFAULT
 
 from labos.client import LabClient
-from labos.client._generated import GeneratedCalls
 from labos.http import limits, routes
 from labos.http.method import Method
 from labos.http.operation import JSON, Operation
@@ -30,21 +29,14 @@ from tests.docs.markdown import ROOT
 FOLDER = ROOT / "labos" / "client" / "_generated"
 WIDTH = 106
 
-MODULES = (
-    "lab",
-    "accounts",
-    "log",
-    "finding",
-    "forecasts",
-    "planning",
-    "runs",
-    "signatures",
-    "campaigns",
-    "approvals",
-    "modules",
-    "bookings",
-)
-MODULES += ("bench", "people", "words")
+CLASSES = {
+    "LabOperations": ("lab", "accounts", "log", "modules", "bookings", "bench", "people", "words"),
+    "WorkOperations": (
+        *("runs", "campaigns", "approvals", "signatures"),
+        *("forecasts", "planning", "finding"),
+    ),
+}
+"""Each class of generated methods, with the modules of ``labos.http.routes`` whose operations it has."""
 
 DISTINCT = ("not_found", "refused", "forbidden", "spec_errors", "log_damaged")
 """Problems that a caller tells apart; those that may come with each request are said once."""
@@ -175,11 +167,11 @@ def method_of(operation: Operation) -> str:
 def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, list[str]]:
     method = operation.client
     left_out = [f"{field.parameter} = {field.parameter} or {{}}" for field in fields if field.is_empty_table]
+    asked = [f'"{operation.path}"', _write_said(operation, fields)]
     if operation.method == "GET":
-        ask, asked = "_get" if operation.media == (JSON,) else "_fetch", list(_write_query(operation, fields))
+        ask = "_get" if operation.media == (JSON,) else "_fetch"
     else:
-        options = _options(method, fields)
-        ask, asked = "_post", [f'"{operation.path}"', _write_said(operation, fields), *options]
+        ask, asked = "_post", [*asked, *_options(method, fields)]
     call = f"self.{ask}({', '.join(asked)})"
     if ask == "_fetch":
         return "bytes", [f"return {call}"]
@@ -190,18 +182,6 @@ def _write_call(operation: Operation, fields: Sequence[Field]) -> tuple[str, lis
     kind = {f.encode_name: f.type for f in msgspec.structs.fields(operation.shape.answer)}[method.take]
     result = find_answer_type(kind)
     return result, [*left_out, f'return {call}["{method.take}"]']
-
-
-def _write_query(operation: Operation, fields: Sequence[Field]) -> Iterator[str]:
-    """The path with its names, and what is asked for."""
-    path = re.sub(r"\{(\w+)\}", r"{in_path(\1)}", operation.path)
-    # The name of a module may have a slash: `rpl/sealer`.
-    path = path.replace("in_path(module)", "in_path(module, 2)")
-    yield f'f"{path}"' if "{" in path else f'"{path}"'
-    for field in fields:
-        if field.place == "query":
-            yield f"{field.sent}=" + (f"int({field.parameter})" if field.type == "bool" else field.parameter)
-    yield from (f"{name}={value!r}" for name, value in operation.client.fixed.items())
 
 
 def _write_said(operation: Operation, fields: Sequence[Field]) -> str:
@@ -224,6 +204,10 @@ def _options(method: Method, fields: Sequence[Field]) -> Iterator[str]:
 
 
 def _write_docstring(operation: Operation) -> Iterator[str]:
+    """The description of an operation; only its summary for a method that no user calls."""
+    if operation.client.name.startswith("_"):
+        yield f'"""{operation.summary}."""'
+        return
     said = " ".join((operation.handler.__doc__ or "").split()).replace("`", "``")
     text = [
         f"{operation.summary}.",
@@ -276,57 +260,47 @@ def _raises(operation: Operation) -> str:
 
 def files() -> dict[Path, str]:
     """Every generated file with its text."""
-    modules = {name: tuple(getattr(routes, name).OPERATIONS) for name in MODULES}
-    assert sum(map(len, modules.values())) == len(routes.OPERATIONS)
-    texts = {FOLDER / f"{name}.py": _module(name, found) for name, found in modules.items()}
-    texts = {path: text for path, text in texts.items() if text}
-    texts[FOLDER / "__init__.py"] = _all([path.stem for path in texts])
+    operations = {
+        name: [operation for module in modules for operation in getattr(routes, module).OPERATIONS]
+        for name, modules in CLASSES.items()
+    }
+    assert sum(map(len, operations.values())) == len(routes.OPERATIONS)
+    texts = {FOLDER / f"{_file(name)}.py": _write_class(name, found) for name, found in operations.items()}
+    texts[FOLDER / "__init__.py"] = (
+        '"""The operations of the API as methods: written by tests/docs/client_code.py."""\n'
+    )
     texts[FOLDER / "twin_calls.py"] = _twin_calls()
     return {path: _format(text, path) for path, text in texts.items()}
 
 
-def _module(name: str, operations: Sequence[Operation]) -> str:
+def _write_class(name: str, operations: Sequence[Operation]) -> str:
     methods = [method_of(operation) for operation in operations if not operation.client.by_hand]
-    if not methods:
-        return ""
     body = "\n\n".join(textwrap.indent(method, "    ") for method in methods)
-    abc = [n for n in ("Mapping", "Sequence") if re.search(rf"\b{n}\[", body)]
-    imports = ["from __future__ import annotations", ""]
-    if abc:
-        imports += [f"from collections.abc import {', '.join(abc)}"]
-    imports += ["from typing import Any"] if re.search(r"\bAny\b", body) else []
-    helpers = ["Calls"] + (["in_path"] if "in_path(" in body else [])
-    imports += ["", f"from labos.client._calls import {', '.join(helpers)}"]
-    words = f"The operations of labos/http/routes/{name}.py; written by tests/docs/client_code.py."
-    head = f'"""{words}"""\n\n' + "\n".join(imports)
-    return f'{head}\n\n\nclass {_class(name)}(Calls):\n    """One method for each operation."""\n\n{body}\n'
+    modules = ", ".join(CLASSES[name])
+    said = f"The operations of labos/http/routes ({modules}); written by tests/docs/client_code.py."
+    head = textwrap.wrap(f'"""{said}"""', WIDTH + 4, break_on_hyphens=False)
+    return (
+        "\n".join(head) + "\n\nfrom __future__ import annotations\n\n"
+        "from collections.abc import Mapping, Sequence\nfrom typing import Any\n\n"
+        "from labos.client._calls import Calls\n\n\n"
+        f'class {name}(Calls):\n    """One method for each operation."""\n\n{body}\n'
+    )
+
+
+def _file(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
 def _twin_calls() -> str:
     """A line for each operation that the client for asyncio asks as the client does."""
     members = inspect.getmembers(LabClient, inspect.isfunction)
-    names = [name for name, member in members if member.__module__.startswith(GeneratedCalls.__module__)]
+    names = [name for name, member in members if member.__qualname__.partition(".")[0] in CLASSES]
     lines = [f"    {name} = ask(LabClient.{name})" for name in names if not name.startswith("_")]
     head = """The operations of the API, to be awaited; written by tests/docs/client_code.py."""
     return (
         f'"""{head}"""\n\nfrom __future__ import annotations\n\n'
         "from labos.client._lab import LabClient\nfrom labos.client._threads import Twin, ask\n\n\n"
         'class AsyncCalls(Twin):\n    """One method for each operation."""\n\n' + "\n".join(lines) + "\n"
-    )
-
-
-def _class(name: str) -> str:
-    return f"Generated{name.title()}"
-
-
-def _all(names: Sequence[str]) -> str:
-    package = "labos.client._generated"
-    imports = "\n".join(f"from {package}.{name} import {_class(name)}" for name in sorted(names))
-    bases = ", ".join(_class(name) for name in names)
-    return (
-        '"""The operations of the API as methods of the client: written by tests/docs/client_code.py."""\n\n'
-        f"from __future__ import annotations\n\n{imports}\n\n\n"
-        f'class GeneratedCalls({bases}):\n    """One method for each operation."""\n'
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -49,6 +50,9 @@ _TOKEN = {
     "revoked_at": 0,
 }
 _USER = {"user": "ada"}
+
+_of_user = partial(Operation, needs="viewer", by_home=True)
+"""What users do for themselves; admins and the owner of the lab's folder may do it for them."""
 
 
 @Operation(
@@ -210,13 +214,11 @@ async def list_tokens(call: Call, query: TokensQuery) -> signing.Tokens:
     return signing.Tokens(await call.api.gate.accounts.tokens(user or call.who.user))
 
 
-@Operation(
+@_of_user(
     route="POST /tokens",
     client=Method("make_token", "label"),
     answer=signing.MadeToken,
     summary="Make a token for a program",
-    needs="viewer",
-    by_home=True,
     secret=True,
     status=201,
     problems=("refused", "not_found"),
@@ -246,12 +248,10 @@ async def make_token(call: Call, body: signing.NewToken) -> Response:
     return answer_secret(signing.MadeToken(token, secret), 201)
 
 
-@Operation(
+@_of_user(
     route="POST /tokens/{token}/revoke",
     client=Method("revoke_token", take=None, repeat=True),
     summary="Revoke a token",
-    needs="viewer",
-    by_home=True,
     example_answer=_USER,
 )
 async def revoke_token(call: Call, path: OfToken) -> signing.UserReference:
@@ -278,12 +278,10 @@ async def list_people(call: Call) -> signing.People:
     )
 
 
-@Operation(
+@_of_user(
     route="POST /users/{user}/password",
     client=Method("set_password", "user, password, present", take=None),
     summary="Change a user's password",
-    needs="viewer",
-    by_home=True,
     secret=True,
     problems=("too_many_tries",),
     example={"password": "four other words of yours", "present": "four words of yours"},
@@ -308,12 +306,10 @@ async def change_password(call: Call, path: OfUser, body: signing.NewPassword) -
     return signing.UserReference(path.user)
 
 
-@Operation(
+@_of_user(
     route="POST /users/{user}/person",
     client=Method("set_person", take=None, repeat=True),
     summary="Change the name and address of a user",
-    needs="viewer",
-    by_home=True,
     secret=True,
     example={"name": "Ada Byron", "mail": "ada@example.org"},
     example_answer={"user": "ada", "name": "Ada Byron", "mail": "ada@example.org"},
@@ -330,12 +326,10 @@ async def change_person(call: Call, path: OfUser, body: signing.PersonDetails) -
     return person
 
 
-@Operation(
+@_of_user(
     route="POST /users/{user}/erase",
     client=Method("erase_person", take=None, repeat=True),
     summary="Erase a user's name, address and means of signing in",
-    needs="viewer",
-    by_home=True,
     example_answer=_USER,
 )
 async def erase_person(call: Call, path: OfUser) -> signing.UserReference:

@@ -142,7 +142,7 @@ _POLICY = "labos: 1\ntrusted: [lims]\nnewcomers: 3\nabove: {lab_time: 40 h}\n"
 
 @read(
     route="GET /approvals",
-    client=Method("_list_approvals"),
+    client=Method("approvals", by_hand=True),
     summary="List the submissions that wait for an approval",
 )
 def list_approvals(call: Call, query: ProposalsQuery) -> Proposals:

@@ -264,7 +264,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
 
 @submit(
     route="POST /samples",
-    client=Method("_register_sheet", take="plates", repeat=True),
+    client=Method("load_samples", by_hand=True),
     summary="Register the samples in the wells of plates",
     status=201,
     example={"text": "plate,well,sample\nP7,A1,serum 12\n", "by": "ada", "name": "sheet.csv"},
@@ -272,16 +272,7 @@ async def hand_over_labware(call: Call, path: OfLabware, body: Handover) -> Labw
 )
 async def register_sheet(call: Call, body: SampleSheet) -> SampleCounts:
     """A sheet with faults is refused completely; the answer lists the places of all faults."""
-    plates = await register_samples(
-        call.service,
-        body.text,
-        body.name,
-        body.by,
-        labware=body.labware,
-        station=body.station,
-        replace=body.replace,
-    )
-    return SampleCounts(plates)
+    return SampleCounts(await register_samples(call.service, body, body.by))
 
 
 def _sight(service: LabService, place: StationName, what: str, by: str) -> ObserveStation:

@@ -102,7 +102,7 @@ def list_campaigns(call: Call) -> Campaigns:
 
 @submit(
     route="POST /campaigns",
-    client=Method("_submit_campaign_file", "text, workflow, user", key="given", timeout_s=900.0),
+    client=Method("submit_campaign", by_hand=True),
     summary="Check a campaign and submit it",
     status=201,
     other_statuses={200: "It was only checked (`dry_run`)"},

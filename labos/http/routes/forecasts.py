@@ -76,7 +76,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
 
 @submit(
     route="POST /campaigns/forecast",
-    client=Method("_forecast_campaign_file", "text, workflow, user", repeat=True, timeout_s=900.0),
+    client=Method("forecast_campaign", by_hand=True),
     summary="Forecast a campaign and its needs, without submitting it",
     tag="campaigns",
     example={

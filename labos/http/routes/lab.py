@@ -106,7 +106,7 @@ def get_inventory(call: Call) -> Inventory:
 
 @read(
     route="GET /nodes",
-    client=Method("_list_nodes", take="modules"),
+    client=Method("ask_nodes", by_hand=True),
     summary="Ask the nodes of modules for their present state",
     example_answer={"modules": [_NODE]},
 )
@@ -119,7 +119,7 @@ async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
 
 @Operation(
     route="POST /control/pause",
-    client=Method("_pause_target", repeat=True),
+    client=Method("control", by_hand=True),
     summary="Pause a run, an experiment, a module, a workcell or the lab",
     needs="submitter",
     problems=("not_found", "refused"),
@@ -133,7 +133,7 @@ async def pause(call: Call, body: ControlRequest) -> ControlResult:
 
 @Operation(
     route="POST /control/resume",
-    client=Method("_resume_target", repeat=True),
+    client=Method("control", by_hand=True),
     summary="Resume a paused run, experiment, module, workcell or lab",
     needs="submitter",
     problems=("not_found", "refused"),
@@ -146,7 +146,7 @@ async def resume(call: Call, body: ControlRequest) -> ControlResult:
 
 @Operation(
     route="POST /control/cancel",
-    client=Method("_cancel_target", repeat=True),
+    client=Method("control", by_hand=True),
     summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
     needs="submitter",
     problems=("not_found", "refused"),

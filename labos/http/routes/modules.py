@@ -202,7 +202,7 @@ async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> 
 
 @Operation(
     route="POST /workcells",
-    client=Method("_change_workcell", "text, by", repeat=True),
+    client=Method("apply_workcell", by_hand=True),
     summary="Apply a workcell file",
     tag="workcells",
     needs="admin",
@@ -237,7 +237,7 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
 
 @_operate(
     route="POST /workcells/{workcell}/access/end",
-    client=Method("_end_workcell_access", take=None),
+    client=Method("leave", by_hand=True),
     summary="End the access to a workcell",
     tag="workcells",
     example={"by": "ada", "changed": [{"station": "sealer.default", "what": "empty"}]},

@@ -154,7 +154,7 @@ async def _read_ends(call: Call, query: RunsQuery) -> list[Record]:
 
 @submit(
     route="POST /runs",
-    client=Method("_submit_run", "workflow, user", key="given"),
+    client=Method("submit", by_hand=True),
     summary="Queue a run of a workflow",
     status=201,
     logs_key=True,
@@ -185,7 +185,7 @@ async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
 
 @read(
     route="GET /runs/{run}",
-    client=Method("_get_run"),
+    client=Method("status", by_hand=True),
     summary="Show a run with its steps, or its end",
 )
 async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
@@ -242,7 +242,7 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
 
 @submit(
     route="POST /experiments",
-    client=Method("_start_experiment", "name, user", key="given"),
+    client=Method("start_experiment", by_hand=True),
     summary="Start an experiment",
     tag="experiments",
     status=201,

@@ -107,9 +107,9 @@ def test_a_submission_that_waits_says_so_and_is_approved_as_it_was_seen(people: 
 def test_on_the_command_line(people: People, tmp_path: Path) -> None:
     assert "Nothing waits" in people.labos("olga", "approvals").output
     several = [people.seal("agent") for _ in range(3)]
-    page = people["bob"]._get("/approvals", limit=2)
+    page = people["bob"]._get("/approvals", {"limit": 2})
     assert ([p["subject"] for p in page["approvals"]], page["more"]) == (several[:2], True)
-    page = people["bob"]._get("/approvals", limit=2, after=several[1])
+    page = people["bob"]._get("/approvals", {"limit": 2, "after": several[1]})
     assert ([p["subject"] for p in page["approvals"]], page["more"]) == (several[2:], False)
     for name in several:
         people["agent"].cancel(name)

@@ -15,7 +15,7 @@ from labos.core.decide.users import AddUser, GrantRole
 from labos.core.users import Role, on_behalf
 from labos.errors import Forbidden, Refused
 from labos.http.access import end_access, request_access
-from labos.http.bodies import NewCampaign, NewExperiment, NewRun, WorkcellFile
+from labos.http.bodies import NewCampaign, NewExperiment, NewRun, SampleSheet, WorkcellFile
 from labos.http.campaigns import submit_campaign
 from labos.http.declare import declare_bench
 from labos.http.placing import Placing
@@ -105,12 +105,13 @@ def test_nothing_is_kept_or_started_for_somebody_who_may_not(tmp_path: Path) -> 
         service, begun = lab.service, lab.kernel.state.position
         files = sorted((tmp_path / "lab").rglob("blobs/**/*"))
         campaign = NewCampaign(text=CAMPAIGN, workflow=FLOW, user="vic", dry_run=True)
+        sheet = SampleSheet(text="well,sample\nA1,x\n", name="s.csv", station="press.nest")
         tries: list[Callable[[], Awaitable[object]]] = [
             lambda: service.submit(NewRun(workflow=FLOW, user="vic")),
             lambda: service.submit(NewRun(workflow=FLOW, user="eve")),
             lambda: service.start_experiment(NewExperiment(name="app", user="vic", closing=FLOW)),
             lambda: submit_campaign(service, campaign, ""),
-            lambda: register_samples(service, "well,sample\nA1,x\n", "s.csv", "vic", station="press.nest"),
+            lambda: register_samples(service, sheet, "vic"),
             lambda: apply_workcell(service, WorkcellFile(text=CELL, by="olga", dry_run=True), "olga"),
             # Its arms would be parked, at the highest priority, before it is refused.
             lambda: request_access(service, "corner", "ada", "", park=True),
