@@ -17,6 +17,7 @@ from labos.core.envelope import Envelope
 from labos.core.model import MAIN, ON_CANCEL, AnyPart
 from labos.services.files import iterate_files
 from labos.services.results import find_labware_of_action, iterate_tables
+from labos.services.runs import describe_step_end
 
 NUMBERS: dict[AnyPart, int] = {MAIN: -1, ON_CANCEL: -2}
 """The numbers in a table for the parts of a plan that do not belong to a step."""
@@ -192,48 +193,25 @@ def on_unknown(rows: RowChanges, event: a.ActionUnknown, head: Envelope, at: flo
     rows.update(ACTIONS, event.action, status="unknown", effects="unknown", error=event.why)
 
 
-def on_succeeded(rows: RowChanges, event: a.ActionSucceeded, head: Envelope, at: float) -> None:
-    _end(rows, event, head, at, "succeeded", "done", "all")
-    _add_results(rows, event, head, convert_to_seconds(event.ended_ns) if event.ended_ns else at)
-
-
-def on_failed(rows: RowChanges, event: a.ActionFailed, head: Envelope, at: float) -> None:
-    _end(rows, event, head, at, "failed", "failed", event.effects, event.error)
-
-
-def on_rejected(rows: RowChanges, event: a.ActionRejected, head: Envelope, at: float) -> None:
-    _end(rows, event, head, at, "rejected", "failed" if event.final else "pending", "none", event.why)
-
-
-def on_reconciled(rows: RowChanges, event: a.ActionReconciled, head: Envelope, at: float) -> None:
-    state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
-    error = "" if state == "done" else f"settled by {event.by}"
-    _end(rows, event, head, at, "reconciled", state, event.effects, error)["settled_by"] = event.by
-    _add_results(rows, event, head, at)
-
-
-def _end(
-    rows: RowChanges,
-    event: a.ActionEvent,
-    head: Envelope,
-    at: float,
-    status: str,
-    state: str,
-    effects: str,
-    error: str = "",
-) -> Row:
+def on_action_ended(rows: RowChanges, event: a.ActionEnd, head: Envelope, at: float) -> None:
+    state, error = describe_step_end(event)
     _set_step_status(rows, event.run, event.step, state, error)["ended_at_s"] = at
     ended_ns = getattr(event, "ended_ns", 0)
-    return rows.update(
+    device_ended = convert_to_seconds(ended_ns) if ended_ns else None
+    action = rows.update(
         ACTIONS,
         event.action,
-        status=status,
-        effects=effects,
+        status=event.TYPE.rpartition(".")[2],
+        effects=getattr(event, "effects", "none" if isinstance(event, a.ActionRejected) else "all"),
         error=error,
         ended_at_s=at,
         ended_position=head.position,
-        device_ended_at_s=convert_to_seconds(ended_ns) if ended_ns else None,
+        device_ended_at_s=device_ended,
     )
+    if isinstance(event, a.ActionReconciled):
+        action["settled_by"] = event.by
+    if isinstance(event, a.ActionSucceeded | a.ActionReconciled):
+        _add_results(rows, event, head, device_ended or at)
 
 
 def _add_results(

@@ -204,6 +204,20 @@ def _end_run(run: RunHistory, status: str, at: int) -> None:
     run.flying.clear()
 
 
+def describe_step_end(event: a.ActionEnd) -> tuple[str, str]:
+    """The state of a step after the end of its action, and its error."""
+    match event:
+        case a.ActionSucceeded():
+            return "done", ""
+        case a.ActionFailed():
+            return "failed", event.error
+        case a.ActionRejected():
+            return ("failed" if event.final else "pending"), event.why
+        case a.ActionReconciled():
+            state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
+            return state, "" if state == "done" else f"settled by {event.by}"
+
+
 def _fold_step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int) -> None:
     match event:
         case a.ActionRequested():
@@ -216,17 +230,11 @@ def _fold_step(run: RunHistory, step: StepHistory, event: a.ActionEvent, at: int
             step.state, step.error = "in flight", ""
         case a.ActionUnknown():
             step.state, step.error = "unknown", event.why
-        case a.ActionSucceeded():
-            step.state, step.result, step.error = "done", event.result, ""
-        case a.ActionFailed():
-            step.state, step.error = "failed", event.error
-        case a.ActionRejected():
-            step.state, step.error = ("failed" if event.final else "pending"), event.why
-        case a.ActionReconciled():
-            step.state = {"all": "done", "none": "pending"}.get(event.effects, "failed")
-            step.error = "" if step.state == "done" else f"settled by {event.by}"
     if isinstance(event, a.ActionEnd):
+        step.state, step.error = describe_step_end(event)
         step.ended_at = at
+        if isinstance(event, a.ActionSucceeded):
+            step.result = event.result
         begun = run.flying.pop(event.action, None)
         if begun is not None:
             run.busy.append((begun, at))

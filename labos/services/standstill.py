@@ -264,24 +264,9 @@ class Standstill:
             case reasons.NoWayOut():
                 found = find_obstacle(self._scheduler.safety, self.state, run)
                 words = [found.replace("experiment ", "experiment:")]
-            case (
-                reasons.Paused()
-                | reasons.Unapproved()
-                | reasons.NotApproved()
-                | reasons.NoGap()
-                | reasons.LogShorter()
-                | reasons.Asked()
-                | reasons.Quota()
-                | reasons.Access()
-                | reasons.Unwatched()
-                | reasons.Unsettled()
-                | reasons.Unfit()
-                | reasons.Undeclared()
-                | reasons.NothingThere()
-                | reasons.NotAccepted()
-                | reasons.WrongWay()
-                | reasons.NoGrip()
-            ):
+            case reasons.NotYours():  # it waits for the owner
+                pass
+            case reasons.NeedsPerson():
                 at = self._find_module_at(next(iter(reason.names), ""))
                 return Cause("person", reason.code.replace("_", " "), at)
             case (
@@ -293,9 +278,8 @@ class Standstill:
             ):
                 return PASSES
             case (
-                # It waits for the owner, for the run of the reservation, or for the run that has the hold.
-                reasons.NotYours()
-                | reasons.InUse()
+                # It waits for the run of the reservation, or for the run that has the hold.
+                reasons.InUse()
                 | reasons.Reserved()
                 | reasons.Held()
                 | reasons.Setpoint()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Iterable
+from copy import copy
 from typing import Literal
 
 import msgspec
@@ -33,6 +34,7 @@ from labos.core.labware import (
 from labos.core.modules import EmergencyStopped, ModulePutBack, ModuleTakenOut
 from labos.core.registry import Event
 from labos.core.resources import LevelSet, ResourceReplenished
+from labos.core.structs import make_from
 from labos.core.topics import Approval, PlannedWork
 from labos.services.catalogue import LEARNT, Catalogue
 from labos.services.log import decode_events
@@ -109,21 +111,16 @@ class TwhReport(msgspec.Struct):
     pace: float = 1.0
 
 
-class _Clock:
-    """The clock of one scope."""
+class _Clock(Twh):
+    """The figures of one scope up to ``at``; its clock runs because of the runs in ``running``."""
 
-    def __init__(self, kind: ScopeKind, name: str) -> None:
-        self.kind: ScopeKind = kind
-        self.name = name
-        self.current, self.longest = Stretch(), Stretch()
-        self.interventions = 0
-        self.planned = 0
-        self.running: set[str] = set()
-        self.clock_ns = 0
-        self.at = 0
+    current: Stretch = msgspec.field(default_factory=Stretch)
+    longest: Stretch = msgspec.field(default_factory=Stretch)
+    running: set[str] = set()
+    at: int = 0
 
     def advance(self, now: int) -> None:
-        if self.running and now > self.at:
+        if self.working and now > self.at:
             self.current.since = self.current.since or self.at
             self.current.worked_ns += now - self.at
             self.clock_ns += now - self.at
@@ -133,6 +130,7 @@ class _Clock:
     def set(self, run: str, works: bool, now: int) -> None:
         self.advance(now)
         (self.running.add if works else self.running.discard)(run)
+        self.working = bool(self.running)
 
     def finish_command(self, now: int) -> None:
         self.advance(now)
@@ -162,9 +160,7 @@ class _Clock:
     def measure(self, now: int) -> Twh:
         self.advance(now)
         self._compare()
-        copies = (msgspec.structs.replace(self.current), msgspec.structs.replace(self.longest))
-        working = bool(self.running)
-        return Twh(self.kind, self.name, *copies, self.interventions, working, self.planned, self.clock_ns)
+        return make_from(Twh, self, current=copy(self.current), longest=copy(self.longest))
 
 
 class Meter:
