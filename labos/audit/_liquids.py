@@ -17,22 +17,19 @@ from labos.errors import LogDamaged, NotFound
 from labos.ports import BlobStore
 
 
-def on_poured(rows: RowChanges, event: b.LiquidTransferred, head: Envelope, at: float) -> None:
-    lots = list(event.lots)
+def on_pipetted(
+    rows: RowChanges, event: b.LiquidTransferred | b.LiquidDrawn, head: Envelope, at: float
+) -> None:
+    kind, liquid, lots = "out", "", list[str]()
+    if isinstance(event, b.LiquidTransferred):
+        kind, liquid, lots = "in", event.liquid, list(event.lots)
     by = (event.module, event.run, event.action)
     for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
-        what = ("in", event.labware, well, volume, event.liquid, lots, event.certain)
+        what = (kind, event.labware, well, volume, liquid, lots, event.certain)
         rows.add(TRANSFERS, head.position, number, at, *what, *by)
-    for number, lot in enumerate(dict.fromkeys(event.lots)):
-        about = (lot, "liquid", event.module, event.liquid, event.labware, event.run, event.action)
+    for number, lot in enumerate(dict.fromkeys(lots)):
+        about = (lot, "liquid", event.module, liquid, event.labware, event.run, event.action)
         rows.add(LOT_USES, head.position, number, at, *about)
-
-
-def on_drawn(rows: RowChanges, event: b.LiquidDrawn, head: Envelope, at: float) -> None:
-    by = (event.module, event.run, event.action)
-    for number, (well, volume) in enumerate(zip(event.wells, event.volumes_ul, strict=False)):
-        what: tuple[Any, ...] = ("out", event.labware, well, volume, "", [], event.certain)
-        rows.add(TRANSFERS, head.position, number, at, *what, *by)
 
 
 def on_samples_registered(

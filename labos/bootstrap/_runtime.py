@@ -32,6 +32,7 @@ from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.runtime.spawning import choose_spawner
 from labos.runtime.supervisor import NodeCommand, Supervisor
+from labos.runtime.tasks import Tasks
 from labos.settings import Settings, is_alive
 from labos.spec import CompiledWorkcell
 from labos.store import SqlEventStore, open_blobs
@@ -80,7 +81,7 @@ class LabRuntime:
         self._unheard: dict[ModuleName, str] = {}
         self._worlds: dict[str, World] = {}
         self._detach = False
-        self._following: set[asyncio.Task[None]] = set()
+        self._following = Tasks()
 
     def world(self, workcell: str) -> World:
         """The simulated bench of a workcell."""
@@ -126,9 +127,7 @@ class LabRuntime:
         """Adapt the nodes to the workcells: nodes of removed modules end, nodes of ``changed`` modules are
         restarted after their present actions, and nodes of new modules are started."""
         if self.supervised is not None:
-            task = asyncio.get_running_loop().create_task(self._follow(self.supervised, changed))
-            self._following.add(task)
-            task.add_done_callback(self._following.discard)
+            self._following.spawn(self._follow(self.supervised, changed))
 
     async def _follow(self, supervisor: Supervisor, changed: Sequence[ModuleName]) -> None:
         known = self.kernel.state.modules.by_name

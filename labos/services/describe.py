@@ -157,11 +157,8 @@ def _describe_booking(event: k.BookingTerms) -> str:
     )
     times = f"from {show_time(event.begins)} until {show_time(event.ends)}"
     more = f"{_when(event.rule, f', {event.rule}')}{_when(event.why, f': {event.why}')}"
-    return f"{local(event.target)} for {whom} {times}{more}"
-
-
-def _list(names: tuple[str, ...]) -> str:
-    return ", ".join(names)
+    over = ", ".join(event.over)
+    return f"{local(event.target)} for {whom} {times}{more}{_when(over, f', over {over}')}"
 
 
 SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
@@ -393,12 +390,8 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     u.MemberRemoved: lambda e, _: f"{e.user} is no longer in the group {e.group}",
     u.RoleGranted: lambda e, _: f"{owner_name(e.subject)} now has the role {e.role} {_name_place(e.scope)}",
     u.RoleRevoked: lambda e, _: f"{owner_name(e.subject)} no longer has a role {_name_place(e.scope)}",
-    k.BookingMade: lambda e, _: (
-        f"{e.by} booked {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
-    ),
-    k.BookingChanged: lambda e, _: (
-        f"{e.by} changed it: {_describe_booking(e)}{_when(e.over, f', over {_list(e.over)}')}"
-    ),
+    k.BookingMade: lambda e, _: f"{e.by} booked {_describe_booking(e)}",
+    k.BookingChanged: lambda e, _: f"{e.by} changed it: {_describe_booking(e)}",
     k.BookingCancelled: lambda e, _: f"{e.by} cancelled it{_when(e.why, f': {e.why}')}",
     k.BookingSkipped: lambda e, _: (
         f"{e.by} left out the time from {show_time(e.begins)}{_when(e.why, f': {e.why}')}"

@@ -255,8 +255,7 @@ class Meter:
         """The figures at ``now`` (UTC ns), by default at the last event."""
         at = max(self._now, now or 0)
         return TwhReport(
-            self._lab.measure(at),
-            {name: clock.measure(at) for name, clock in self._cells.items()},
+            *self.read_totals(at),
             {name: clock.measure(at) for name, clock in self._experiments.items()},
             {name: clock.measure(at) for name, clock in self._runs.items()},
             self.names.pace,
