@@ -204,11 +204,10 @@ def _run(state: LabState, run: RunState, now: int, kernel_runs: bool) -> OpenRun
     if not waits and not doing and kernel_runs:
         waits = list_unknown_reasons(state, run, now)
     status = "paused" if run.paused else run.status
-    return OpenRun(
+    return make_from(
+        OpenRun,
+        run,
         run=run.id,
-        workflow=run.workflow,
-        user=run.user,
-        experiment=str(run.experiment),
         status=status,
         done=run.statuses.count(DONE),
         steps=count_in_play(plan, list_statuses(plan, run)),
