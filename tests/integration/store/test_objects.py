@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import fsspec
 import httpx
@@ -48,6 +49,7 @@ def bucket() -> Iterator[str]:
     patch.setenv("AWS_ACCESS_KEY_ID", "labos")
     patch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
     patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    keep_systems(patch)
     try:
         deadline = time.monotonic() + 30
         while True:
@@ -64,6 +66,22 @@ def bucket() -> Iterator[str]:
         close_sessions()
         server.kill()
         server.wait()
+
+
+KEPT: list[object] = []
+
+
+def keep_systems(patch: pytest.MonkeyPatch) -> None:
+    """Keep the file systems that fsspec does not keep, until the process ends: the session of one that is
+    thrown away in the middle of another test cannot be closed there, and complains."""
+    systems = fsspec.get_filesystem_class("s3")
+    begin = systems.__init__
+
+    def begin_and_keep(self: object, *args: Any, **options: Any) -> None:
+        begin(self, *args, **options)
+        KEPT.append(self)
+
+    patch.setattr(systems, "__init__", begin_and_keep)
 
 
 def close_sessions() -> None:
