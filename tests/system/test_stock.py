@@ -42,8 +42,9 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
     assert labos("unload", "sciclops.tower1", "--all", *user).returncode == 0
     with lab.client() as client:
         waiting = client.do("sciclops", "get_plate", {"loc": "tower1"}, user="ada")
+        empty = "the stack sciclops.tower1 is empty"
+        until(lambda: client.state()["runs"][0]["waits"][0]["why"] == empty, empty)
         (shown,) = client.state()["runs"]
-        assert shown["waits"][0]["why"] == "the stack sciclops.tower1 is empty"
         assert stack(client.inventory(), "sciclops.tower1")["count"] == 0
         out = stack(inventory(), "sciclops.tower1")["runs_out"]
         assert (out["run"], out["workflow"]) == (waiting, "do sciclops.get_plate")
