@@ -44,7 +44,6 @@ def test_stacks_are_loaded_and_unloaded_and_resources_refilled(lab: Up) -> None:
         waiting = client.do("sciclops", "get_plate", {"loc": "tower1"}, user="ada")
         empty = "the stack sciclops.tower1 is empty"
         until(lambda: client.state()["runs"][0]["waits"][0]["why"] == empty, empty)
-        (shown,) = client.state()["runs"]
         assert stack(client.inventory(), "sciclops.tower1")["count"] == 0
         out = stack(inventory(), "sciclops.tower1")["runs_out"]
         assert (out["run"], out["workflow"]) == (waiting, "do sciclops.get_plate")
