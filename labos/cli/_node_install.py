@@ -8,8 +8,7 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import cert_option, file_option, folder_home_option, json_option, pki_option
-from labos.cli._out import report_done
-from labos.cli._specs import write_new
+from labos.cli._out import report_done, write_new
 from labos.errors import BadInput
 from labos.settings import Settings, last_kernel
 from labos.version import VERSION

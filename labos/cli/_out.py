@@ -1,4 +1,4 @@
-"""Output of commands: tables (formatted in a terminal, plain and never cut in a pipe) and JSON."""
+"""Output of commands: tables (formatted in a terminal, plain and never cut in a pipe), JSON, and files."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import shutil
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 import msgspec
 
 from labos.core.wells import sort_by_well
+from labos.errors import SystemFailed
+from labos.private import create_file
 from labos.services.times import with_iso_times
 
 LONGEST_WORD = 32
@@ -123,3 +126,12 @@ def show_line(value: Any) -> None:
 def _encode(value: Any) -> bytes:
     plain = with_iso_times(msgspec.to_builtins(value))
     return msgspec.json.encode(sort_by_well(plain, others_sorted=True))
+
+
+def write_new(file: Path, data: bytes) -> None:
+    """Write a file that only its owner can read. Raises SystemFailed."""
+    try:
+        with create_file(file) as written:
+            written.write(data)
+    except OSError as error:
+        raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None

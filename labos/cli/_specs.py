@@ -1,21 +1,11 @@
-"""Files that a person names on the command line."""
+"""Specs that a person names on the command line."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from labos.errors import NotFound, SystemFailed
-from labos.private import create_file
+from labos.errors import NotFound
 from labos.spec import find_spec, list_specs
-
-
-def write_new(file: Path, data: bytes) -> None:
-    """Write a file that only its owner can read. Raises SystemFailed."""
-    try:
-        with create_file(file) as written:
-            written.write(data)
-    except OSError as error:
-        raise SystemFailed(f"{file} cannot be written: {error}.", remedy="Name another file.") from None
 
 
 def find_spec_path(kind: str, name: str) -> Path:

@@ -8,9 +8,8 @@ import click
 
 from labos.cli._complete import make_completer
 from labos.cli._options import file_option
-from labos.cli._out import report_done
+from labos.cli._out import report_done, write_new
 from labos.cli._query import Where, folder_and_json, open_database
-from labos.cli._specs import write_new
 from labos.errors import NotFound
 from labos.services.trust.bundle import AboutBundle, Attachments, make_bundle, note_beside
 from labos.services.trust.keys import SigningKeys

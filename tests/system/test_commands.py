@@ -180,3 +180,9 @@ def test_a_command_starts_without_loading_the_others() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_node_starts_without_loading_workflows() -> None:
+    code = "import sys, labos.cli.node; assert 'labos.spec' not in sys.modules"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
