@@ -22,7 +22,7 @@ from labos.planning.reservations import Reservations
 from labos.planning.suggested import Adviser
 from labos.planning.touch import cell_key
 from labos.planning.waiting import WaitingRoom
-from labos.planning.window_order import WindowOrders
+from labos.planning.window_order import LOOK_NS, WindowOrders
 
 MOST_INSIDE = 8
 """With more runs inside, no order is looked for."""
@@ -168,10 +168,10 @@ class Admission:
         goes_first = run.id in state.runs.windowed or self._room.is_overtaken(state, run)
         own = self._adviser.own
         if not goes_first and own.is_used:
-            is_too_early = own.is_too_early(state, cell)
-            until = own.goes_on_at(cell) if is_too_early else self._window_orders.find_hold(state, cell, now)
-            if is_too_early or until is not None:
-                return [Wait(reasons.SoonerLater(), (cell_key(cell),), until)]
+            if own.is_too_early(state, cell):
+                return [Wait(reasons.SoonerLater(), (cell_key(cell),), own.goes_on_at(cell))]
+            if self._window_orders.is_too_early(state, cell, now):
+                return [Wait(reasons.SoonerLater(), (cell_key(cell),), now + LOOK_NS)]
         if goes_first or not _carries(state, option) or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing stands in nobody's way
         equals = self._list_equals(state, option, now)

@@ -18,13 +18,13 @@ def door_key(module: ModuleName) -> str:
 
 @cache
 def hold_key(module: ModuleName) -> str:
-    """What a run holds that keeps a module by its plan's word."""
+    """What a run holds whose plan reserves a module for it (``holds``)."""
     return f"{HOLD}:{module}"
 
 
 @cache
 def list_guard_keys(module: ModuleName) -> tuple[str, str]:
-    """What a run holds that keeps others from reaching into a module: by its door, or by its plan's word."""
+    """What a run holds that keeps others from reaching into a module: its open door, or a reservation."""
     return door_key(module), hold_key(module)
 
 
@@ -41,7 +41,7 @@ def ready_key(module: ModuleName) -> str:
 
 
 @cache
-def had_key(module: ModuleName) -> str:
+def done_key(module: ModuleName) -> str:
     """What a run holds for which a module has done it already, together with another one."""
     return f"{READY}:had:{joint_claim(module)}"
 
@@ -57,7 +57,7 @@ def setpoint_key(module: ModuleName, setpoint: str) -> str:
 
 @cache
 def find_kept_module(key: str) -> ModuleName:
-    """The module that a run keeps by its plan's word if it holds this; empty if it is something else."""
+    """The module that is reserved for a run that holds this; empty if it is something else."""
     kind, name = split_key(key)
     return ModuleName(name if kind == HOLD else "")
 

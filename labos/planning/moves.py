@@ -13,9 +13,9 @@ from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.floor import OTHERS, UNSETTLED, Actor, Floor, change_claim, is_closing
 from labos.planning.held import (
+    done_key,
     door_key,
     find_kept_module,
-    had_key,
     joint_claim,
     list_guard_keys,
     may_be_shared,
@@ -101,7 +101,7 @@ def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
 def _are_all_ready(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether all who have labware in a module are ready for what an actor wants of it now, or it was done
     for the actor already, with another one."""
-    if actor.name in floor.held.get(had_key(motion.joint), {}):
+    if actor.name in floor.held.get(done_key(motion.joint), {}):
         return True
     ready, wish = floor.held.get(ready_key(motion.joint), {}), motion.wish
     inside = _list_inside(floor, motion.joint)
@@ -350,7 +350,7 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> None:
 def _join(floor: Floor, who: str, motion: Motion) -> None:
     """What a module does for one, it does for all who have labware in it."""
     ready = floor.held.setdefault(ready_key(motion.joint), {})
-    had = floor.held.setdefault(had_key(motion.joint), {})
+    had = floor.held.setdefault(done_key(motion.joint), {})
     if who in had:
         floor.drop(had, who)
         return

@@ -54,7 +54,7 @@ ENOUGH_EACH = 430
 BREATH_NS = 2_000_000
 """The pause between two turns of a search: work that has to be done goes on meanwhile."""
 
-MOST_HELD_NS = 10_000_000_000
+LONGEST_SEARCH_NS = 10_000_000_000
 """For so long (wall time) at most no run starts in an empty workcell because the search is going on."""
 
 LOOK_NS = 1_000_000_000
@@ -139,7 +139,7 @@ class CellSearch(msgspec.Struct):
     """When was searched last (UTC ns)."""
     tried: int = 0
     """How many orders were tried."""
-    held_since: int | None = None
+    waited_since: int | None = None
     """Since when runs wait for the search in an empty workcell (UTC ns)."""
 
     @property
@@ -180,15 +180,15 @@ class WindowOrders:
         searches = [self._searches[cell] for cell in self.orders]
         return min((search.looked + BREATH_NS for search in searches if search.goes_on), default=None)
 
-    def find_hold(self, state: LabState, cell: str, now: int) -> int | None:
-        """Until when no run should start in an empty workcell (UTC ns), because an order is being searched:
-        what the first run does cannot be taken back. None if there is no reason to wait."""
+    def is_too_early(self, state: LabState, cell: str, now: int) -> bool:
+        """Whether no run should start yet in an empty workcell, because an order is being searched: what the
+        first run does cannot be taken back."""
         search = self._searches.get(cell)
         if cell not in self.orders or search is None or not search.goes_on or state.runs.list_inside(cell):
-            return None
-        if search.held_since is None or now < search.held_since:
-            search.held_since = now
-        return now + LOOK_NS if now < search.held_since + MOST_HELD_NS else None
+            return False
+        if search.waited_since is None or now < search.waited_since:
+            search.waited_since = now
+        return now < search.waited_since + LONGEST_SEARCH_NS
 
     def update(
         self,
@@ -207,8 +207,8 @@ class WindowOrders:
         inside = state.runs.list_inside(cell)
         late = search.late
         if inside:
-            search.held_since = None
-        is_held = search.held_since is not None and search.goes_on
+            search.waited_since = None
+        is_waited_for = search.waited_since is not None and search.goes_on
         waiting = [run for run in waiting if run.id not in late][:MOST_WAITING]
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
         known, order = search.members, self.orders.get(cell)
@@ -216,7 +216,7 @@ class WindowOrders:
         if known == members:
             if order is None or search.looked == now:
                 return False
-            if not is_held and not _is_on_time(state, order, now):
+            if not is_waited_for and not _is_on_time(state, order, now):
                 # Once for all that has happened: what the rules do not let start is not waited for again.
                 seen = tuple(tuple(run.statuses) for run in inside)
                 if search.seen == seen:
@@ -239,11 +239,11 @@ class WindowOrders:
         statuses = tuple(tuple(run.statuses) for run in inside)
         is_same = known == members and search.line == before and search.statuses == statuses
         search.statuses = statuses
-        is_free = is_held and not search.goes_on
-        if not is_free and is_same and order is not None and _is_on_time(state, order, now):
+        is_over = is_waited_for and not search.goes_on
+        if not is_over and is_same and order is not None and _is_on_time(state, order, now):
             return False  # nothing has happened, and nothing better was found
         self.orders[cell] = found
-        return is_free or order is None or order.steps != found.steps
+        return is_over or order is None or order.steps != found.steps
 
     def search_longer(
         self,

@@ -11,7 +11,7 @@ from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.scheduler import make_searching_scheduler
-from labos.planning.window_order import ENOUGH_EACH, MOST_HELD_NS, MOST_WAITING, TRIES_EACH, TRIES_NEW
+from labos.planning.window_order import ENOUGH_EACH, LONGEST_SEARCH_NS, MOST_WAITING, TRIES_EACH, TRIES_NEW
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import CELL, LONG_FIRST, lab_with, way
 
@@ -183,7 +183,7 @@ def test_in_an_empty_workcell_the_first_run_waits_until_the_search_is_over() -> 
 def test_a_search_that_takes_long_holds_nobody_for_ever() -> None:
     lab = searching_lab_with(TO_LATHE, TO_OVEN, FROM_LATHE, TO_OVEN)
     assert lab.pump() == []
-    lab.wait(MOST_HELD_NS / 1e9)
+    lab.wait(LONGEST_SEARCH_NS / 1e9)
     assert lab.scheduler.window_orders.tries < ENOUGH_EACH * 4
     assert lab.pump() != []
 
