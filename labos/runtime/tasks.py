@@ -43,8 +43,8 @@ class Tasks:
             task.cancel()
 
     async def end(self) -> None:
-        """Cancel all work, and wait until it has ended."""
-        running = set(self._running)
+        """Cancel all work, and wait until it has ended (but not for the task that asks for it)."""
+        running = self._running - {asyncio.current_task()}
         self.cancel()
         if running:
             await asyncio.wait(running)
