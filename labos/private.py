@@ -41,12 +41,12 @@ def create_file(path: Path, *, exclusive: bool = False) -> BinaryIO:
 
 def replace_file(path: Path, data: bytes) -> None:
     """Write a private file, completely or not at all; it is synced on return. Raises OSError."""
-    with replacing(path) as file:
+    with open_replacement(path) as file:
         file.write(data)
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
+def open_replacement(path: Path) -> Iterator[BinaryIO]:
     """A private file to write in the block, for data that should not be in memory as a whole."""
     beside = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}.part")
     try:

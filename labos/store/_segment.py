@@ -18,7 +18,7 @@ import msgspec
 
 from labos.core.envelope import Envelope, Record
 from labos.errors import BadInput, LogDamaged
-from labos.private import replacing
+from labos.private import open_replacement
 
 _GZIP = b"\x1f\x8b"
 _RESTORE = "Use another copy of the file; keep this one."
@@ -53,7 +53,7 @@ def decode_record(line: bytes) -> Record:
 def write_segment(path: Path, records: Iterable[Record]) -> tuple[str, Record | None]:
     """Write records to a file, which is synced on return and complete or absent; returns its SHA-256, and the
     last record."""
-    with replacing(path) as file:
+    with open_replacement(path) as file:
         if path.name.endswith(".gz"):
             # The file contains no time and no name: the same records give the same file.
             with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0, compresslevel=6) as packed:
