@@ -300,6 +300,16 @@ def test_a_plate_is_seen_however_it_lies(degrees: float, world: World) -> None:
     assert vision.read_label(shown) == "LB000001"
 
 
+# In pictures 106 and 545 circles are seen between the wells: a seventh of all neighbours are not of the grid.
+@pytest.mark.parametrize(
+    "chance", [106, 545, *(pytest.param(chance, marks=pytest.mark.full) for chance in range(1000, 1200))]
+)
+def test_a_plate_without_a_label_is_seen_in_every_picture(chance: int, world: World) -> None:
+    (plate,) = world.stock("eye.plate_station", "plate96")
+    world.label(plate, "")
+    assert vision.is_occupied(picture_of(world, ["eye.plate_station"], chance)) is True
+
+
 @pytest.mark.full
 def test_darker_brighter_and_blurred(world: World) -> None:
     bare = picture_of(world, ["eye.plate_station"], 3)

@@ -177,7 +177,10 @@ def has_wells(view: Picture) -> bool:
     each = numpy.arange(len(x))
     distance = apart[each, next_to]
     regular = abs(distance - numpy.median(distance)) <= REGULAR * numpy.median(distance)
+    if regular.mean() <= MOSTLY:
+        return False
     # Neighbours in a grid lie in two directions, a quarter turn apart: four times their angles are one.
-    angle = numpy.arctan2(down[each, next_to], across[each, next_to])
+    # A circle that was seen between the wells has no neighbour of the grid: its direction says nothing.
+    angle = numpy.arctan2(down[each, next_to], across[each, next_to])[regular]
     straight = abs(numpy.exp(4j * angle).mean())
-    return bool(regular.mean() > MOSTLY and straight > MOSTLY)
+    return bool(straight > MOSTLY)
