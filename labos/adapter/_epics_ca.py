@@ -73,12 +73,12 @@ class CaChannels(Channels):
         except self._ca.CANothing as error:
             if error.errorcode in REFUSED:
                 effects = "none" if error.errorcode == NO_ACCESS else "unknown"
-                raise DeviceError(f"{name} does not take {value!r} ({error}).", effects=effects) from error
+                raise DeviceError(f"{name} does not accept {value!r} ({error}).", effects=effects) from error
             raise NoResponse(f"{name}: {error}") from error
         except self._gone as error:
             raise NoResponse(f"{name}: {error}") from error
         except (TypeError, ValueError) as error:
-            raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+            raise DeviceError(f"{name} does not accept {value!r} ({error}).", effects="none") from error
 
     async def _prepare(self, name: str, text: str) -> tuple[Any, Any]:
         """A text in the form for this record, and its type. Text records have 39 bytes; the client library

@@ -65,9 +65,9 @@ class PvaChannels(Channels):
         except self._Disconnected as error:
             raise NoResponse(f"{name}: {error}") from error
         except self._RemoteError as error:
-            raise DeviceError(f"{name} does not take {value!r} ({error}).") from error
+            raise DeviceError(f"{name} does not accept {value!r} ({error}).") from error
         except (TypeError, ValueError, KeyError) as error:
-            raise DeviceError(f"{name} does not take {value!r} ({error}).", effects="none") from error
+            raise DeviceError(f"{name} does not accept {value!r} ({error}).", effects="none") from error
 
     async def _prepare(self, name: str, value: Any) -> Any:
         """The value to send: an enumeration's label as its number, a text for an array as bytes. Raises

@@ -156,14 +156,14 @@ class UaChannels(Channels):
             raise DeviceError(why, effects="none") from error
         except (TypeError, ValueError, self._ua.UaError) as error:
             await _let_go(client)
-            why = f"{self._url}: {name} does not take {value!r} ({_error_text(error, READ_S)})."
+            why = f"{self._url}: {name} does not accept {value!r} ({_error_text(error, READ_S)})."
             raise DeviceError(why, effects="none") from error
         try:
             await send()
         except self._ua.UaStatusCodeError as error:
             reason = _error_text(error, LONGEST_S)
             effects = "none" if any(word in reason for word in UNTOUCHED) else "unknown"
-            raise DeviceError(f"{name} does not take {value!r} ({reason}).", effects=effects) from error
+            raise DeviceError(f"{name} does not accept {value!r} ({reason}).", effects=effects) from error
         except (OSError, TimeoutError, self._ua.UaError) as error:
             raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:

@@ -300,7 +300,7 @@ def test_the_server_is_killed_in_mid_motion(description: Description, tmp_path: 
         await until(lambda: len(server.truth(WORDS[action])) == 1, 20)
         await asyncio.sleep(0.5)  # the answer to the start is there, if one comes
         server.kill()
-        await here.in_error("does not tell")
+        await here.in_error("does not send")
         server.start()
         told = await here.status("a1", "interrupted", 60)
         assert ("does not know the execution" if action == "shake_plate" else "lost") in told.why
@@ -330,7 +330,7 @@ def test_a_server_that_says_nothing_any_more(description: Description, tmp_path:
         await asyncio.sleep(0.5)  # the answer to the start is there, if one comes
         server.process.send_signal(signal.SIGSTOP)  # type: ignore[union-attr]
         assert "has not answered for" in (await here.status("a1", "interrupted", 60)).why
-        await here.in_error("does not tell")
+        await here.in_error("does not send")
         assert (await here.start("a3", action, **motion(action, "unheard", 0.0))).status == "refused"
         server.process.send_signal(signal.SIGCONT)  # type: ignore[union-attr]
         await here.idle(40)
@@ -377,7 +377,7 @@ def test_a_server_on_other_software(description: Description, tmp_path: Path) ->
         await until(lambda: len(server.truth("shake", label="died")) == 1, 20)
         await asyncio.sleep(0.5)  # the answer to the start is there
         server.kill()
-        await here.in_error("does not tell")
+        await here.in_error("does not send")
         server.start()
         assert "does not know the execution" in (await here.status("a4", "interrupted", 60)).why
         await here.idle(40)
@@ -411,7 +411,7 @@ def test_encrypted_by_the_servers_own_certificate(
             *([{"sila_server_name": ""}] if name else []),
         ):
             node = await here.adapter("sila_node", description, **{**config(server, **name), **wrong})
-            await here.in_error("does not tell")
+            await here.in_error("does not send")
             await node.close()
             await here.await_node_gone()
         await here.adapter("sila_node", description, **config(server, **name))
