@@ -19,7 +19,7 @@ from labos.core.bookings import Bookings, BookingSpan
 from labos.core.decide import Command
 from labos.core.decide.bookings import BeginBooking, EndBooking, NearBooking
 from labos.core.effects import Carrying, Sets, list_carried
-from labos.core.ids import ModuleName, RunId, StationName
+from labos.core.ids import ModuleName, RunId, StationName, module_key
 from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.runs import PENDING, RunState, list_statuses
 from labos.core.state import LabState
@@ -41,12 +41,23 @@ class ModuleUse(msgspec.Struct, frozen=True):
 
 def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
     """What booking a start would run into; None if there is room. The rules must allow it."""
-    if not state.bookings.list_in_cell(state.runs.plan_of(run).workcell):
-        return None
     plan = state.runs.plan_of(run)
-    if is_exempt(state, run, plan.steps[step]):
+    if not state.bookings.list_in_cell(plan.workcell) or is_exempt(state, run, plan.steps[step]):
         return None
     times = _foresee_times(state, run, plan, step, now)
+    wait = _check_times(state, run, step, now, times)
+    if wait is None:
+        return None
+    # How long the steps take is learned from the actions of their modules.
+    modules = dict.fromkeys(module_key(plan.steps[index].module) for index in times)
+    return msgspec.structs.replace(wait, on=(*wait.on, *modules))
+
+
+def _check_times(
+    state: LabState, run: RunState, step: int, now: int, times: dict[int, tuple[int, int]]
+) -> Wait | None:
+    """The same if the steps begin and end at these ``times``."""
+    plan = state.runs.plan_of(run)
     if not run.has_started:
         every = list(_list_stays(state, plan, times, times))
         for wait in _list_without_gap(state, run, every, now):
