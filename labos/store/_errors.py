@@ -11,6 +11,8 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from labos.errors import InvariantBroken, LabosError, StoreUnavailable
 from labos.store._url import display_name, find_sqlite_path
 
+_RESTORE = "Restore it from a backup, or name another file."
+
 _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     (
         ("disk is full", "no space left", "disk full", "file too large"),
@@ -30,7 +32,7 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
     ),
     (
         ("not a database", "malformed"),
-        "Restore it from a backup, or name another file.",
+        _RESTORE,
     ),
     (("password authentication", "no password supplied", "role "), "Check user and password in the URL."),
     (
@@ -65,6 +67,10 @@ def translate_error(url: URL, error: BaseException) -> LabosError | None:
         return StoreUnavailable(
             "PostgreSQL needs the psycopg driver, which is not installed.",
             remedy='Run: pip install "labos-sdl[postgres]"',
+        )
+    if isinstance(error, UnicodeDecodeError):
+        return StoreUnavailable(
+            f"The {display_name(url)} is damaged: a text in it is not UTF-8.", remedy=_RESTORE
         )
     if isinstance(error, (SQLAlchemyError, OSError)) or "Error" in names:
         reason = _describe_error(url, error)
