@@ -373,6 +373,7 @@ def test_simulated(world: World) -> None:
 
 
 @pytest.mark.full
+@pytest.mark.timeout(600)
 def test_torture_over_a_serial_line() -> None:
     report = asyncio.run(torture(str(Path(__file__).with_name("plc_rtu.py")), motion_s=0.6))
     assert (report.badge, [f for f in report.findings if f.verdict == "failed"]) == ("gold", [])

@@ -41,13 +41,16 @@ def test_few_runs_end_about_when_they_were_expected() -> None:
 @pytest.mark.full
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("batches", [False, True])
-def test_two_hundred_forecasts_hold_what_they_say(batches: bool) -> None:
-    found = learn(days(200, 101, batches=batches))
+def test_eight_hundred_forecasts_hold_what_they_say(batches: bool) -> None:
+    """So many, because only a quarter ends before anybody else comes: with 50 of those, chance decides."""
+    found = learn(days(800, 101, batches=batches))
     ends = figures(found, "ends")
-    assert ends.count >= 190
+    assert ends.count >= 760
     assert 0.75 <= ends.covered <= 0.85, "four of five, as things usually go"
     alone = figures(keep_undisturbed(found), "ends", "alone")
     assert 0.75 <= alone.covered <= 0.85, (
         "four of five of those after which nobody came, of whom that is told"
     )
-    assert ends.part < 0.06
+    assert alone.part < 0.06
+    if not batches:  # in batches the error is that of the runs that nobody knows yet
+        assert ends.part < 0.06

@@ -45,6 +45,7 @@ def live_through(seed: int, jobs: list[Job], rates: FaultRates) -> None:
         lab.close()
 
 
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
     "seeds",
     [pytest.param(range(4), marks=pytest.mark.slow), pytest.param(range(4, 40), marks=pytest.mark.full)],
