@@ -103,6 +103,12 @@ class TecanDriver(Wired):
             with self._scan():
                 for wavelength in wavelengths:
                     spectra[wavelength] = self._read_spectrum(wavelength, grid)
+            if self._detect_plate() is False:
+                raise DeviceError(
+                    f"{self.name}: the plate is no longer on the carrier; some spectra are not of its wells.",
+                    effects="unknown",
+                    remedy="Look where it is, and measure again.",
+                )
             return Attachment(name, protocol.write_table(spectra, grid))
 
     def _list_wavelengths(self, start_nm: float, end_nm: float, step_nm: float) -> list[float]:
