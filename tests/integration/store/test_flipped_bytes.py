@@ -27,6 +27,7 @@ from labos.node.world import World
 from labos.runtime.ledger import load
 from labos.services.verification import check_benches, check_end, check_snapshot
 from labos.store import FolderBlobs, SqlEventStore, backup, find_first_damage, open_store, verify_backup
+from labos.store._migrate import REVISION
 from tests.integration.store.records import raw
 from tests.unit.node.memory import Counter, MemoryFile
 from tests.unit.services.logbook import Logbook, two_users
@@ -316,3 +317,16 @@ def spoilt(value: bytes | str | int, rng: random.Random) -> bytes | str | int:
         return value[:at] + chr(ord(value[at]) ^ 1) + value[at + 1 :] if value else "x"
     data = bytes(value)
     return flip(data, rng.randrange(len(data)), rng.randrange(8))
+
+
+def test_a_revision_that_is_no_text_any_more_is_damage(tmp_path: Path) -> None:
+    lab = Lab(tmp_path / "lab", two_users())
+    lab.write(snapshot=False, close=True)
+    file = lab.home / "labos.db"
+    found = file.read_bytes()
+    revision = b"\x06\x01\x02\x15" + REVISION.encode()  # a row of one text of four bytes
+    assert found.count(revision) == 1
+    file.write_bytes(flip(found, found.index(revision) + len(revision) - 1, 7))
+    with pytest.raises(StoreError, match="is damaged: a text in it is not UTF-8") as caught:
+        open_store(lab.url(lab.home), home=lab.home)
+    assert "Restore it from a backup" in caught.value.remedy
