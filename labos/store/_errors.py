@@ -31,7 +31,7 @@ _REMEDIES: tuple[tuple[tuple[str, ...], str], ...] = (
         "Another program has locked it: close that program.",
     ),
     (
-        ("not a database", "malformed"),
+        ("not a database", "malformed", "decode to utf-8"),
         _RESTORE,
     ),
     (("password authentication", "no password supplied", "role "), "Check user and password in the URL."),
