@@ -396,7 +396,9 @@ def test_cancelling_says_what_is_true(working: Lab) -> None:
     until(lambda: lab.status("sealer") == "IDLE", "the sealer is at rest")
     lab.nodes["sealer"].send_signal(signal.SIGSTOP)
     try:
-        run = lab.submit(seal("time: 1"))
+        # In this process: on a busy machine a command starts slowly, and a frozen node soon counts as gone.
+        with lab.up.client() as client:
+            run = client.submit(Path(lab.file(workflow(seal("time: 1")))), user="ada")
 
         def at_work() -> bool:
             with lab.up.client() as client:
