@@ -101,7 +101,7 @@ class ZoneBarred(NeedsPerson, frozen=True):
 class Booked(Reason, frozen=True):
     SENTENCE = "{module} is booked for {whom} until {until} ({booking})"
     REMEDY = "It continues by itself then. To cancel the booking: labos book cancel {booking}"
-    WAKES = ("booking",)
+    WAKES = ("booking", "module")
     module: str
     whom: str
     until: str
@@ -114,7 +114,7 @@ class BookedSoon(Reason, frozen=True):
         "not end before that"
     )
     REMEDY = "It continues by itself after that. To cancel the booking: labos book cancel {booking}"
-    WAKES = ("booking",)
+    WAKES = ("booking", "module")
     module: str
     whom: str
     begins: str
@@ -126,7 +126,7 @@ class BookedSoon(Reason, frozen=True):
 class NoGap(NeedsPerson, frozen=True):
     SENTENCE = "the bookings of {module} ({bookings}) leave no free time of {length} in the next {days} days"
     REMEDY = "Change or cancel one of them: labos bookings {module}"
-    WAKES = ("booking",)
+    WAKES = ("booking", "module")
     module: str
     length: str
     days: str
