@@ -15,6 +15,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 from sqlalchemy.engine import URL
 
 from labos.errors import LogTooNew, StoreUnavailable
+from labos.imports import import_without
 from labos.private import make_folder
 from labos.store._errors import TranslatedErrors
 from labos.store._tables import VERSION_TABLE
@@ -151,8 +152,8 @@ def find_schema_of_log(connection: Connection) -> str:
 
 
 def _upgrade(url: URL) -> None:
-    from alembic import command
-
+    # Alembic's templates would load Pygments only to colour their own errors.
+    command = import_without("alembic.command", "pygments")
     config = alembic_config()
     with migration_connection(url) as connection:
         if connection.dialect.name == "postgresql":
