@@ -97,7 +97,7 @@ def check_for_others(
     return Wait(why, (near_key(plan.workcell),), until)
 
 
-def put_last(state: LabState, spots: Iterable[Spot]) -> list[Spot]:
+def put_last(state: LabState, spots: list[Spot]) -> list[Spot]:
     """Steps that may be carried out together come last: what others start now counts for them. Those of runs
     with a running clock stay where they are."""
 
@@ -106,7 +106,7 @@ def put_last(state: LabState, spots: Iterable[Spot]) -> list[Spot]:
             return False
         return find_together(state, state.runs.plan_of(spot.run).steps[spot.step]) is not None
 
-    return sorted(spots, key=comes_late)
+    return sorted(spots, key=comes_late) if len(spots) > 1 else spots
 
 
 def find_ready_time(state: LabState, run: RunState, index: int) -> int:

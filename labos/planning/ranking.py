@@ -65,6 +65,8 @@ class Ranking:
 
     def sort(self, state: LabState, spots: list[Spot], patience: OvertakeCounts, now: int) -> list[Spot]:
         """What may start, in the order in which it is tried."""
+        if len(spots) < 2:
+            return spots
         turns = self._swap_turns(state, [spot for spot in spots if not spot.bundle])
         return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now, turns))
 

@@ -113,8 +113,8 @@ def sort_keys(keys: Iterable[str]) -> Touched:
     ordered = sorted(set(keys))
     named: dict[str, list[str]] = {}
     for key in ordered:
-        kind, name = split_key(key)
         if not key.startswith(EVERYTHING):
+            kind, name = split_key(key)
             named.setdefault(kind, []).append(name)
         elif key != EVERYTHING:
             named.setdefault(EVERYTHING, []).append(key.removeprefix(EVERYTHING))
