@@ -19,19 +19,15 @@ from itertools import islice
 
 import msgspec
 
-from labos.core.actions import Action, ActionStatus
-from labos.core.effects import Carrying, Consumes, Needs
-from labos.core.ids import RunId, deck_key, run_owner
-from labos.core.model import MAIN, Plan
+from labos.core.ids import RunId
 from labos.core.rules import convert_lab_s
-from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
+from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.chains import Chain, Fit, Leg, SlotTable
+from labos.planning.chains import Fit, SlotTable
 from labos.planning.forecast import find_usual_time
-from labos.planning.outline import Task, Ways
-from labos.planning.taken import find_station
-from labos.planning.window_waits import WaitSpan, share_waits
+from labos.planning.outline import Ways
+from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
 OWN_WINDOWS = "labos, windows"
 """In place of the planner's name, in the lab's own order where clocks run."""
@@ -60,12 +56,6 @@ LONGEST_SEARCH_NS = 10_000_000_000
 LOOK_NS = 1_000_000_000
 """A run that waits for the end of the search is looked at again after so long at the latest."""
 
-MOST_SLOTS = 2048
-"""So many slots all steps take together, at most."""
-
-SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
-"""The lengths of a slot (lab seconds) of which the shortest that will do is taken."""
-
 WARMTH = 0.025
 """An order that is worse by this part of the time that is left is still gone on with now and then."""
 
@@ -81,43 +71,8 @@ LOST = 1000
 PUNCTUAL_S = 5.0
 """So much later (lab seconds) than it should a step may start, and the order still counts."""
 
-KNOWN = (Carrying, Needs, Consumes)
-"""Effects that the timetable knows."""
-
 Value = tuple[int, float]
 """How many runs do not fit in or are overtaken too often, and when all is over: less is better."""
-
-
-class StepChain(msgspec.Struct, frozen=True):
-    """A plan whose main steps follow one another: their numbers, and for each how long the run has to wait
-    before it at least, and may at most (ns of wall time; None: no limit)."""
-
-    steps: tuple[int, ...]
-    least: tuple[int, ...]
-    most: tuple[int | None, ...]
-
-
-class PlannedRun(msgspec.Struct):
-    """A run in the timetable."""
-
-    run: RunState
-    first: int
-    """The first of its steps, in its line, that has not started."""
-    line: StepChain
-    chain: Chain
-    end: int
-    """When what is under way ends (UTC ns)."""
-    limit: int = 0
-    """So many younger runs may still be let in before it."""
-
-
-class PlannedCell(msgspec.Struct):
-    """What is laid out: the runs, the older ones first, and the timetable without them."""
-
-    members: dict[RunId, PlannedRun]
-    table: SlotTable
-    slot: int
-    now: int
 
 
 class CellSearch(msgspec.Struct):
@@ -284,7 +239,7 @@ class WindowOrders:
         if any(run.experiment or (run.choices and not run.has_started) for run in (*inside, *waiting)):
             return None  # what else is to be done, or on which module, is not known
         ways = self._ways.setdefault(cell, Ways())
-        layout = _lay_out(state, cell, ways, [*inside, *waiting], now)
+        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now)
         if layout is None:
             return None
         for run in waiting:
@@ -417,199 +372,6 @@ class _Draws:
     def next(self) -> float:
         self._at = (self._at * 6364136223846793005 + 1442695040888963407) % 2**64
         return (self._at >> 11) / 2**53
-
-
-# -- reading the state -----------------------------------------------------------------------------
-
-
-def _lay_out(
-    state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], now: int
-) -> PlannedCell | None:
-    """The runs of a workcell and those that wait, as chains; None if some run is none."""
-    lines: list[tuple[RunState, StepChain, tuple[Task, ...]]] = []
-    lengths: dict[RunId, dict[int, int]] = {}
-    for run in runs:
-        if run.has_started and (run.status != RunStatus.ACTIVE or find_holds(run)):
-            return None
-        plan = state.runs.plan_of(run)
-        durations = {i: find_usual_time(state, plan.steps[i]) for i in range(len(plan.steps))}
-        line = _read_line(state, plan, durations)
-        if line is None:
-            return None
-        lines.append((run, line, ways.read(state, run.plan)))
-        lengths[run.id] = durations
-    total = sum(lengths[run.id][step] for run, line, _ in lines for step in line.steps)
-    total += sum(sum(line.least) for _, line, _ in lines)
-    slot = _choose_slot(state, [t for each in lengths.values() for t in each.values()], total)
-    flying = {(a.run, a.step): a for a in state.actions.list_in_cell(cell)}
-    members: dict[RunId, PlannedRun] = {}
-    for run, line, tasks in lines:
-        member = _make_member(state, run, line, tasks, ways, lengths[run.id], slot, now, flying)
-        if member is None:
-            return None
-        members[run.id] = member
-    table = SlotTable(len(ways.room), int(total / slot * 1.3) + 64)
-    owners = {run_owner(run.id) for run in runs}
-    for key, number in ways.numbers.items():
-        station = find_station(state, key)
-        if station is None or station.spec.kind in ("stack", "waste"):
-            continue
-        if any(state.bench.labware[labware].owner not in owners for labware in station.labware):
-            if ways.room[number] == 1:
-                table.taken[number] = table.full
-            deck = ways.numbers.get(deck_key(station.spec.claim))
-            if deck is not None and station.spec.claim:
-                table.taken[deck] = table.full
-    return PlannedCell(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)
-
-
-def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepChain | None:
-    """The main steps of a plan, if they follow one another and its windows are its own."""
-    if plan.holds or any(not isinstance(effect, KNOWN) for step in plan.steps for effect in step.effects):
-        return None  # doors, setpoints and the like are not in the timetable
-    steps = [i for i, step in enumerate(plan.steps) if step.part == MAIN]
-    place = {step: number for number, step in enumerate(steps)}
-    spans: list[WaitSpan] = []
-    for number, index in enumerate(steps):
-        step = plan.steps[index]
-        if set(step.after) != set(steps[max(0, number - 1) : number]) or step.by_person:
-            return None
-        for window in step.windows:
-            if window.anchor is None or place.get(window.anchor, number) >= number:
-                return None
-            first = place[window.anchor] + 1
-            between = sum(durations[i] for i in steps[first:number])
-            # A move that is known to last longer than its window is followed at once.
-            left = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
-            limit = None if left is None else max(0, left)
-            spans.append(WaitSpan(first, number, convert_lab_s(state, window.wait_s) - between, limit))
-    waits = share_waits(len(steps), spans)
-    return None if waits is None else StepChain(tuple(steps), *waits)
-
-
-def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
-    """How long a slot is (ns of wall time)."""
-    whole = math.gcd(*lengths)
-    if whole and total <= MOST_SLOTS * whole:
-        return whole
-    return next(
-        (slot for slot in (convert_lab_s(state, s) for s in SLOTS_S) if total <= MOST_SLOTS * slot),
-        max(1, total // MOST_SLOTS),
-    )
-
-
-def _up(time: int, slot: int) -> int:
-    """So many slots; what is a twentieth over does not count."""
-    return max(0, -(-(time - slot // 20) // slot))
-
-
-def _make_member(
-    state: LabState,
-    run: RunState,
-    line: StepChain,
-    tasks: tuple[Task, ...],
-    ways: Ways,
-    durations: dict[int, int],
-    slot: int,
-    now: int,
-    flying: dict[tuple[RunId, int], Action],
-) -> PlannedRun | None:
-    statuses = run.statuses if run.has_started else []
-    first, begins, held = 0, None, dict[int, int]()
-    in_progress: tuple[int, ...] = ()
-    plan = state.runs.plan_of(run)
-    end = now
-    for number, index in enumerate(line.steps if statuses else ()):
-        status = statuses[index]
-        if status == PENDING:
-            break
-        first = number + 1
-        _carry(held, tasks[index], is_over=status in SETTLED)
-        if status in SETTLED:
-            continue
-        action = flying.get((run.id, index))
-        if status != IN_FLIGHT or action is None or action.status == ActionStatus.UNKNOWN:
-            return None
-        end = max(now, action.requested_at + durations[index])
-        in_progress = tasks[index].takes
-    if statuses:
-        if any(statuses[index] != PENDING for index in line.steps[first:]):
-            return None
-        begins = _up(end - now, slot)
-        for index in line.steps[first - 1 : first] if in_progress else ():
-            frees = tasks[index].frees
-            after = dict(held)
-            for key in frees:
-                after[key] = after.get(key, 0) - 1
-            in_progress = (*in_progress, *(key for key in frees if ways.room[key] == 1))
-            held = after
-    legs: list[Leg] = []
-    for number in range(first, len(line.steps)):
-        index = line.steps[number]
-        task = tasks[index]
-        least, most = line.least[number], line.most[number]
-        if statuses:
-            least, most = _since_clocks(state, run, plan, line, number, first, durations, end, least, most)
-        takes = dict.fromkeys(k for k in (*task.takes, *task.gets) if ways.room[k] == 1)
-        holds = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
-        wait = _up(least, slot)
-        longest = None if most is None else max(wait, most // slot)
-        legs.append(
-            Leg(
-                tuple(k for k in takes if k not in holds),
-                holds,
-                max(1, _up(durations[index], slot)),
-                wait,
-                longest,
-            )
-        )
-        _carry(held, task, is_over=True)
-    keeps = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
-    return PlannedRun(run, first, line, Chain(tuple(legs), begins, in_progress, keeps), end)
-
-
-def _carry(held: dict[int, int], task: Task, *, is_over: bool) -> None:
-    """What a run holds after a step, or while it is under way."""
-    for key in task.gets:
-        held[key] = held.get(key, 0) + 1
-    for key in task.frees if is_over else ():
-        held[key] = max(0, held.get(key, 0) - 1)
-
-
-def _since_clocks(
-    state: LabState,
-    run: RunState,
-    plan: Plan,
-    line: StepChain,
-    number: int,
-    first: int,
-    durations: dict[int, int],
-    end: int,
-    least: int,
-    most: int | None,
-) -> tuple[int, int | None]:
-    """How long a run waits before a step (ns), with the clocks that run already."""
-    if number != first:
-        return least, most
-    least, most = 0, None
-    for later in range(first, len(line.steps)):
-        for window in plan.steps[line.steps[later]].windows:
-            assert window.anchor is not None  # of another run's clock nothing is known: see _read_line
-            anchor = line.steps.index(window.anchor)
-            ended = find_anchor(run, window)
-            if ended is None and anchor == first - 1:
-                ended = end
-            if ended is None or anchor >= first or run.is_breached(line.steps[later]):
-                continue
-            between = sum(durations[i] for i in line.steps[first:later])
-            behind = slice(first + 1, later + 1)
-            waits = sum(line.least[behind])
-            least = max(least, ended + convert_lab_s(state, window.wait_s) - between - waits - end)
-            if window.within_s is not None:
-                waits = sum(limit or 0 for limit in line.most[behind])
-                left = max(0, ended + convert_lab_s(state, window.within_s) - between - waits - end)
-                most = left if most is None else min(most, left)
-    return least, most
 
 
 # -- the order ---------------------------------------------------------------------------------------
