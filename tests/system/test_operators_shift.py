@@ -120,7 +120,8 @@ def test_a_shift_goes_as_the_page_says(operator: Operator) -> None:
     assert (report["twh"]["interventions"], report["twh"]["planned"]) == (3, 4)
     records = records_of(operator.folder)
     slow = [request.args["slow"] for request in transfers(records, "sealer.default")]
-    assert slow == [True, True, False, False, False], "a crawl until the arm has been there once"
+    expected = [True, True, False, False, False]
+    assert slow == expected, f"a crawl until the arm has been there once:\n{print_actions(records)}"
     state = LabState()
     fold(state, records)
     world = World(str(operator.folder / "lab/world/corner.db"))
@@ -136,6 +137,14 @@ def records_of(folder: Path) -> list[Record]:
         return list(store.read())
     finally:
         store.close()
+
+
+def print_actions(records: list[Record]) -> str:
+    """The events of all actions and questions, a line each."""
+    kept = [r for r in records if r.head.type.startswith(("action.", "intervention.", "node.", "step."))]
+    return "\n".join(
+        f"{r.head.position} {r.head.recorded_at} {r.head.type} {r.payload.decode()}" for r in kept
+    )
 
 
 def transfers(records: list[Record], target: str) -> list[ActionRequested]:
