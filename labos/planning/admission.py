@@ -1,5 +1,5 @@
-"""Which waiting run is let in: the first that may start, or another of equal rank by the look ahead
-(``pilot``)."""
+"""Which waiting run is admitted: the first that may start, or another of equal rank that the look ahead
+(``pilot``) prefers."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from labos.planning.waiting import WaitingRoom
 from labos.planning.window_order import LOOK_NS, WindowOrders
 
 MOST_INSIDE = 8
-"""With more runs inside, no order is looked for."""
+"""The most runs inside for which an order is searched."""
 
 
 class CheckStart(Protocol):
-    """What a step waits for (``Scheduler.check_start``)."""
+    """A check that returns what a step waits for (``Scheduler.check_start``)."""
 
     def __call__(
         self,
@@ -44,15 +44,15 @@ class CheckStart(Protocol):
 
 
 class PossibleStart(msgspec.Struct, frozen=True):
-    """How a waiting run could start by the rules: as one of its plans has it, with this first step; or, with
-    no ``start``, what each of its first steps waits for."""
+    """A possible start of a waiting run: the run with one of its plans, and its first step. With no
+    ``start``, ``waits`` are the waits of each of its first steps."""
 
     start: tuple[RunState, int] | None
     waits: list[Wait]
 
 
 class Admission:
-    """Chooses who is let in."""
+    """Chooses which waiting run is admitted."""
 
     def __init__(
         self,
@@ -72,7 +72,7 @@ class Admission:
         self._check_start = check_start
 
     def find_first(self, state: LabState, bundle: str, now: int) -> RunState | None:
-        """Who of a bundle is next."""
+        """The run of a bundle that is next; None if there is none."""
         first = self._ranking.find_first(state, self._room.list_heads(state, bundle), now)
         if first is None or not self._adviser.has_orders(state) or self._room.is_overtaken(state, first):
             return first
@@ -83,19 +83,20 @@ class Admission:
         return self._adviser.find_next(state, first, now)
 
     def choose(self, state: LabState, bundle: str, run: RunState, now: int) -> Candidate | list[Wait]:
-        """Who starts now, if ``run`` is the next of its bundle; or what the bundle waits for."""
+        """The run that starts now, if ``run`` is the next of its bundle; or what the bundle waits for."""
         possible = self._find_start(state, run, now)
         if possible.start is None and any(
             isinstance(wait.reason, reasons.AfterElder) for wait in possible.waits
         ):
-            # Somebody older than the elder need not wait with the others.
+            # A run that is older than the overtaken run need not wait for it.
             oldest = self._room.find_oldest(state, bundle)
             if oldest is not None and oldest is not run:
                 run, possible = oldest, self._find_start(state, oldest, now)
         return self._look_ahead(state, run, possible, now)
 
     def explain(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
-        """What a run waits for that may start, if the look ahead is against it."""
+        """The waits of a run that may start, if the look ahead prefers another run or none: (step, wait).
+        Empty if it does not, or if no step may start."""
         for option in sort_options(state, run, now):
             for step in state.runs.plans[option.plan].starts:
                 with self._reservations.forget_afterwards():
@@ -108,8 +109,8 @@ class Admission:
         return []
 
     def find_order(self, state: LabState, cell: str, now: int) -> bool:
-        """Look for an order of all that is known in a workcell, where its runs may be compared; whether it
-        is another one than before."""
+        """Search for an order of all known runs of a workcell, if its runs may be compared. Return whether
+        the order has changed."""
         own = self._adviser.own
         if not own.is_used:
             return False
@@ -125,8 +126,8 @@ class Admission:
         return own.search(state, cell, inside, waiting or [], now)
 
     def _list_waiting(self, state: LabState, cell: str, now: int) -> list[RunState] | None:
-        """All runs that wait for a workcell, the oldest first; None if there are too many of them, if they
-        differ in rank, or carry nothing."""
+        """All runs that wait for a workcell, the oldest first. None if there are too many of them, or if they
+        differ in rank. None also if one of them is held back, has a choice of modules, or carries nothing."""
         found: list[RunState] = []
         if len(self._room.list_in_cell(cell)) > MOST_WAITING:
             return None
@@ -153,8 +154,8 @@ class Admission:
     def _look_ahead(
         self, state: LabState, run: RunState, possible: PossibleStart, now: int, *, only_asking: bool = False
     ) -> Candidate | list[Wait]:
-        """The run that starts now: this one if it may start, another of equal rank, or none, and what the
-        run waits for then."""
+        """The run that starts now: this one if it may start, another of equal rank, or none. If none starts,
+        what the run waits for."""
         start, waits = possible.start, possible.waits
         early = start is None
         if start is None and waits and all(isinstance(wait.reason, reasons.WouldBlock) for wait in waits):
@@ -173,7 +174,7 @@ class Admission:
             if self._window_orders.is_too_early(state, cell, now):
                 return [Wait(reasons.SoonerLater(), (cell_key(cell),), now + LOOK_NS)]
         if goes_first or not _carries(state, option) or self._adviser.has_order(state, cell, now):
-            return waits if early else first  # a run that carries nothing stands in nobody's way
+            return waits if early else first  # a run that carries nothing blocks no other run
         equals = self._list_equals(state, option, now)
         if len(equals) >= MOST_WAITING or not are_different(
             state, [*state.runs.list_inside(cell), *equals], option
@@ -193,7 +194,8 @@ class Admission:
         return chosen
 
     def _find_candidate(self, state: LabState, run: RunState, now: int) -> Candidate | None:
-        """The step with which a run may start now; None if there is none."""
+        """The start of a run with its first step, if this is possible now; else None. It is ``early`` if the
+        place after that step is not free soon."""
         step = state.runs.plans[run.plan].starts[0]
         with self._reservations.forget_afterwards():
             wait = self._check_start(state, run, step, now, only_asking=True)
@@ -205,8 +207,8 @@ class Admission:
         return None
 
     def _list_equals(self, state: LabState, run: RunState, now: int) -> list[RunState]:
-        """The first of the waiting runs in a workcell that differ in rank from this run only by age, the
-        oldest first."""
+        """The first waiting runs of a workcell that differ in rank from this run only by age, the oldest
+        first."""
         rank = self._make_rank(state, run, now)
         cell = state.runs.plan_of(run).workcell
         found: list[RunState] = []
@@ -218,7 +220,8 @@ class Admission:
         return sorted(found, key=lambda other: other.position)
 
     def list_next(self, state: LabState, cell: str, most: int, now: int) -> list[RunState]:
-        """The first of the waiting runs in a workcell, so many at most, that differ in rank only by age."""
+        """The first waiting runs of a workcell with the best rank, which differ only by age. At most
+        ``most``, the oldest first."""
         heads: list[RunState] = []
         for bundle in self._room.list_in_cell(cell)[: 4 * most]:
             heads += [head for head in self._room.list_heads(state, bundle) if not find_holds(head)]
@@ -237,12 +240,12 @@ class Admission:
             yield from self._room.list_heads(state, bundle)
 
     def _make_rank(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
-        """The rank of a waiting run without its age."""
+        """The rank of a waiting run without its age. The least goes first."""
         return -run.priority, *self._ranking.rank_waiting(state, run, now)
 
 
 def _list_class(state: LabState, head: RunState, most: int) -> list[RunState]:
-    """The first of the waiting runs that differ from this one in nothing but age, so many at most."""
+    """The first waiting runs, this one included, that differ from it in nothing but age; at most ``most``."""
     group = state.runs.queue[queue_key(state.runs.find_shape(head), head)]
     return [state.runs.queued[name] for name in islice(group, most)]
 

@@ -1,4 +1,4 @@
-"""What a late step could have done about it: other advice to try in the next rehearsal."""
+"""Finds other advice for the next rehearsal if a step was late."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def list_options(
     late: Step,
     forced: Step | None,
 ) -> Iterator[Advice]:
-    """Other advice that may bring a late step in time: a run that was in its way goes on to its end, or
-    waits until it has passed; or its clock is started later. ``run`` is a run that is to begin, the step
-    ``forced`` starts whatever is advised."""
+    """Other advice that may bring a late step in time. Runs that would be trapped go to their ends first. A
+    run in its way goes on to its end, or waits until the blocked step has started. Or its clock starts later.
+    ``run`` is a run that is to start. The step ``forced`` starts whatever the advice is."""
     mover = state.runs.get(RunId(late[0]))
     assert mover is not None
     what = state.runs.plan_of(mover)
@@ -44,7 +44,7 @@ def list_options(
 
 
 def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str]) -> Iterator[Advice]:
-    """Let those who would be trapped go to their ends before a start."""
+    """For each run that a start would trap: advice by which it goes to its end before this start."""
     for name in lost:
         run = state.runs.active.get(RunId(name))
         if run is not None and name != start[0]:
@@ -55,7 +55,8 @@ def _let_pass(state: LabState, advice: Advice, start: Step, lost: Sequence[str])
 def _list_in_the_way(
     run: RunState, chain: Sequence[int], advice: Advice, outcome: RehearsalResult
 ) -> Iterator[tuple[Step, Who]]:
-    """The runs that these steps had to wait for, and in turn the runs that those should have gone before."""
+    """The steps of ``chain`` that had to wait, each with what was in its way. Then the same for the steps of
+    runs in the way that leave."""
     blocked = [(str(run.id), index) for index in reversed(chain)]
     seen = {blocked[0][0]}
     while blocked:

@@ -1,4 +1,4 @@
-"""When to look again at what, though nothing happens: the earliest time comes first."""
+"""The times at which something is checked again without an event: the earliest time comes first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 
 class Alarms(Generic[Name]):
-    """One time (UTC ns) for each name. To set one costs no more where many are set."""
+    """One time (UTC ns) for each name. Setting a time stays fast if many times are set."""
 
     def __init__(self) -> None:
         self._at: dict[Name, int] = {}
@@ -18,7 +18,7 @@ class Alarms(Generic[Name]):
         self._count = 0
 
     def set(self, name: Name, at: int | None) -> None:
-        """The time for a name is this one now; with None, it has none."""
+        """Set the time of a name; None removes it."""
         if at is None:
             self._at.pop(name, None)
         elif self._at.get(name) != at:
@@ -27,13 +27,13 @@ class Alarms(Generic[Name]):
             heapq.heappush(self._heap, (at, self._count, name))
 
     def find_first(self) -> int | None:
-        """The earliest time; None if none is set."""
+        """The earliest time; None if no time is set."""
         while self._heap and self._is_over(self._heap[0]):
             heapq.heappop(self._heap)
         return self._heap[0][0] if self._heap else None
 
     def list_due(self, now: int) -> list[Name]:
-        """The names whose time has come, the earliest first. They stay until they are set anew."""
+        """The names whose time has come, the earliest first. They keep their times until new ones are set."""
         if not self._heap or self._heap[0][0] > now:
             return []
         found: list[tuple[int, int, Name]] = []

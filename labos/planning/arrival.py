@@ -1,12 +1,12 @@
-"""When a run had better be let in: not before its labware can go on from the first place.
+"""When a queued run should start: not long before its labware can leave the first place again.
 
-A run that is let in takes its labware to a place through which others have to go as well: the exchange of a
-stack, say. If the module where it goes next is in use for long, the labware would stand there and block it.
-So the run waits outside until it would arrive at about the time when the next place becomes free.
+The first step of a run takes its labware to a place that other runs need as well, such as the exchange of a
+stack. If the next module is in use for a long time, the labware would stand there and block the place. So the
+run waits outside until it would arrive at about the time when the next place becomes free.
 
-That time is a forecast at the lower end: the run that is in the way goes on without a stop, and its steps
-take the shorter of their durations. A run is let in too soon rather than too late. Where nothing moves, and
-for a run that has waited for long, the forecast does not count.
+That time is the lower end of a forecast: the run that blocks the next place continues without a stop, and
+its steps take their shortest durations. So a run starts too early rather than too late. The forecast does
+not count where nothing moves, or for a run that was overtaken too often.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from labos.planning.forecast import find_longest_time, find_pending_before, find
 from labos.planning.touch import cell_key
 
 LEAST_S = 1.0
-"""Nobody waits outside for less than so many lab seconds. What takes longer than it should is looked at again
-and again, and not without a pause."""
+"""The shortest wait outside (lab seconds). If an action takes longer than expected, the check is repeated,
+with at least this pause."""
 
 
 def check_arrival(state: LabState, run: RunState, step: int, now: int, others: Iterable[Plan]) -> Wait | None:
-    """What a run waits for outside so that its labware does not block the place to which this first step
-    brings it; None if it may be let in. ``others`` are plans of those who are inside or wait too."""
+    """The wait of a queued run whose labware would block the place to which this first step brings it. None
+    if the run may start. ``others`` are the plans of runs inside and of queued runs."""
     plan = state.runs.plan_of(run)
     if run.id in state.runs.windowed or not state.actions.is_any_moving(plan.workcell):
         return None
@@ -56,8 +56,8 @@ def check_arrival(state: LabState, run: RunState, step: int, now: int, others: I
 def _find_first_stop(
     state: LabState, plan: Plan, step: int
 ) -> tuple[StationName, StationName, tuple[int, ...]] | None:
-    """Where a first step brings labware if it fills that place, where it is carried from there, and the
-    steps in between."""
+    """The place that a first step fills, the place to which labware is carried from there, and the steps in
+    between. None if there is still room at the first place, or if no step of the run carries labware on."""
     stop = next((what.filled for what in list_carried(plan.steps[step].effects) if what.filled), None)
     if stop is None or not _would_fill(state.bench.stations[stop]):
         return None
@@ -77,13 +77,13 @@ def _would_fill(station: StationState) -> bool:
 
 
 def _leads_elsewhere(plan: Plan, stop: StationName, onward: StationName) -> bool:
-    """Whether a plan carries labware from a place to another than this."""
+    """Whether a plan carries labware from the place ``stop`` to another place than ``onward``."""
     moves = (what for step in plan.steps for what in list_carried(step.effects))
     return any(what.emptied == stop and what.filled != onward for what in moves)
 
 
 def _find_free_time(state: LabState, place: StationName, now: int) -> int | None:
-    """When a place can be entered, at the earliest (UTC ns); None if nobody can tell."""
+    """The earliest time at which a place can be entered (UTC ns); None if it is not known."""
     station = state.bench.stations[place]
     times = [now]
     for owner in _list_in_the_way(state, station):
@@ -100,7 +100,7 @@ def _find_free_time(state: LabState, place: StationName, now: int) -> int | None
 
 
 def _list_in_the_way(state: LabState, station: StationState) -> Iterator[Owner]:
-    """Whose labware has to leave a place, or is on its way there, before more can come."""
+    """The owners of labware at a place, or on its way there, that has to leave before more can come."""
     if not station.full and not station.spec.claim:
         return
     for labware in station.labware:
@@ -112,8 +112,8 @@ def _list_in_the_way(state: LabState, station: StationState) -> Iterator[Owner]:
 
 
 def _find_leave_time(state: LabState, owner: Owner, place: StationName, now: int) -> int | None:
-    """When a run will have carried its labware away from a place, at the earliest (UTC ns); None if it does
-    not, or does not go on now."""
+    """The earliest time at which a run has carried its labware away from a place (UTC ns). None if it does
+    not do so, if it cannot continue now, or if the owner is no run inside."""
     kind, name = split_key(owner)
     run = state.runs.active.get(RunId(name)) if kind == "run" else None
     if run is None or run.status != RunStatus.ACTIVE or find_holds(run):
@@ -135,7 +135,7 @@ def _find_leave_time(state: LabState, owner: Owner, place: StationName, now: int
 
 
 def _find_end_time(state: LabState, action: Action, now: int) -> int:
-    """When an action will have ended, at the earliest (UTC ns)."""
+    """The earliest end of an action (UTC ns); now if that time has passed."""
     run = state.runs.active.get(action.run)
     if run is None:
         return now

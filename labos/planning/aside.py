@@ -1,9 +1,9 @@
-"""Where a run waits that cannot go to its end: where it keeps nothing from others, if it passes such a place.
+"""Decides where a run waits that cannot reach its end: if possible, where it does not block other runs.
 
-A run that needs a module that is down goes on as far as it can. It would come to a stand in front of that
-module, perhaps in a device that everybody needs, or with a hold on it. So before it takes such a place, it
-is looked where its way leads until there. If it comes to a place again at which it is in nobody's way, it
-may go on to that one. If not, and it is in nobody's way now, it waits here until the module is back.
+A run that needs a module that is down goes on as far as it can. It would stop in front of that module,
+perhaps in a device that every run needs, or with a hold on one. So before a step that changes the bench, the
+run's way up to that module is checked. If the run comes to a place at which it blocks no other run, it may go
+on. If it comes to none, and blocks no other run where it is now, it waits here until the module is back.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from labos.planning.stuck import find_block
 from labos.planning.touch import cell_key, near_key
 
 DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
-"""What a run waits for that needs a module that is down."""
+"""The reasons why a run waits that needs a module that is down."""
 
 
 def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
-    """The wait of a run inside that should stay where it is instead of starting a step; None if it may go on.
-    A run with a running clock goes on as far as it can."""
+    """The wait of a run inside that should stay where it is instead of starting a step; None if it may start
+    the step. A run with a running clock goes on as far as it can."""
     if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
         return None
     wait = find_block(state, run)
@@ -45,7 +45,7 @@ def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) ->
     actor = safety.make_actor(state, run)
     floor = lay_out(state, plan.workcell, [actor], hopeful=True)
     if not wanted.isdisjoint(_find_kept(floor, actor)):
-        return None  # it is in the way here too
+        return None  # it blocks others here too
     stands = list(_list_kept(state, floor, actor, step, dead))
     if not stands or any(wanted.isdisjoint(kept) for kept in stands):
         return None
@@ -54,8 +54,8 @@ def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) ->
 
 
 def _find_wanted(state: LabState, run: RunState) -> set[str]:
-    """What a run that comes to a stand keeps from others: any module, as somebody may come who needs it, and
-    the places on the ways of those who are inside or waiting and can go to their ends."""
+    """What a run that stops should not keep from others: each module, because a run that needs it may come;
+    and the places on the ways of runs that are inside or waiting and can reach their ends."""
     cell = state.runs.plan_of(run).workcell
     wanted: set[str] = {name for name, _ in state.modules.list_in_cell(cell)}
     for known in state.runs.plans.values():
@@ -70,8 +70,8 @@ def _find_wanted(state: LabState, run: RunState) -> set[str]:
 def _list_kept(
     state: LabState, floor: Floor, actor: Actor, step: int, dead: set[ModuleName]
 ) -> Iterator[set[str]]:
-    """What the run keeps from others after each step on its way, from this one on, until it comes to a
-    stand."""
+    """What the run keeps from others after each step on its way, from this step on, until it stops at a
+    module that is down."""
     steps = state.runs.plan_of(state.runs.active[RunId(actor.name)]).steps
     first = [motion for motion in actor.motions if motion.step == step]
     way = [*first, *(motion for motion in actor.motions if motion.step != step)]
@@ -81,12 +81,12 @@ def _list_kept(
         move(floor, actor, motion)
         if number + 1 == len(way) or way[number + 1].step != motion.step:
             yield _find_kept(floor, actor)
-    yield set()  # its way forks before it comes to a stand: nobody knows where that is
+    yield set()  # its way forks before it stops: where it stops is not known
 
 
 def _needs_closed_module(state: LabState, step: PlanStep, dead: set[ModuleName]) -> bool:
-    """Whether a step needs a module that is down, or an arm would have to reach into one that is shut or
-    stopped in the midst of something."""
+    """Whether a step needs a module that is down. Also True if a hand would have to reach into such a module,
+    and it is shut or its position is unknown, because its node was lost during an action."""
     if step.module in dead:
         return True
     reached = [
@@ -99,8 +99,8 @@ def _needs_closed_module(state: LabState, step: PlanStep, dead: set[ModuleName])
 
 
 def _find_kept(floor: Floor, actor: Actor) -> set[str]:
-    """The modules and places that a run keeps from others by where its labware stands, by what it has left
-    shut or open, and by its plan's word."""
+    """The modules and places that a run keeps from others: by its labware, by doors and lids away from rest,
+    by setpoints, and by its plan's holds."""
     stands = [place for place, number in actor.own.items() if number and place not in floor.endless]
     kept: set[str] = {place for place in stands if floor.count[place] >= floor.capacity.get(place, 0)}
     kept.update(floor.claims[place] for place in stands if place in floor.claims)

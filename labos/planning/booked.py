@@ -1,11 +1,14 @@
-"""What would run into a booking is not started: a step, with what it would leave standing, shut or held in a
-module until a later one; and a new run as a whole.
+"""Starts that would collide with a booking of others: they wait.
 
-Durations are nominal. A run is let in when all of it has room between the bookings of others, if there is
-such a time within the days that are looked at; else when its first steps have, as long as there is a gap for
-each of its stays somewhere. A run inside goes on as far as there is room, and waits for the end of a booking
-where there is none: by the rules its next step is not possible then, and safety takes the run for stuck while
-a booking has begun, as if the module were out of service.
+The check of a step includes labware that it leaves in a module, a door that it leaves open or shut, and a
+module that it holds: each of them until a later step. The check of a new run includes all its steps.
+
+Durations are the usual ones. If there is a time within ``HORIZON_NS`` at which all steps of a run have room
+between the bookings, the run is admitted then. If not, each of its stays must have a long enough gap, and it
+is admitted when its first step has room, with the steps that must follow in time. A run inside continues
+while there is room. If there is none, it waits for the end of the booking: the rules do not allow its next
+step before. While a booking has begun, safety counts such a run as stuck, as if the module were out of
+service.
 """
 
 from __future__ import annotations
@@ -29,8 +32,8 @@ from labos.planning.player import find_chained
 
 
 class ModuleUse(msgspec.Struct, frozen=True):
-    """When a run has a module, or something of it stands there (ns from now on), from a ``step`` on. Who only
-    ``clears`` is stopped by maintenance alone."""
+    """The time in which a run uses a module, or has labware in it (ns from now). It begins with ``step``. If
+    the step only carries labware out (``clears``), only maintenance stops it."""
 
     module: ModuleName
     begins: int
@@ -40,7 +43,8 @@ class ModuleUse(msgspec.Struct, frozen=True):
 
 
 def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | None:
-    """What booking a start would run into; None if there is room. The rules must allow it."""
+    """The wait of a start that would collide with a booking; None if there is room. The rules must allow the
+    start."""
     plan = state.runs.plan_of(run)
     if not state.bookings.list_in_cell(plan.workcell) or is_exempt(state, run, plan.steps[step]):
         return None
@@ -48,7 +52,7 @@ def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | N
     wait = _check_times(state, run, step, now, times)
     if wait is None:
         return None
-    # How long the steps take is learned from the actions of their modules.
+    # Durations are learned from the actions of these modules, and a shorter one may end the wait.
     modules = dict.fromkeys(module_key(plan.steps[index].module) for index in times)
     return msgspec.structs.replace(wait, on=(*wait.on, *modules))
 
@@ -56,7 +60,7 @@ def check_start(state: LabState, run: RunState, step: int, now: int) -> Wait | N
 def _check_times(
     state: LabState, run: RunState, step: int, now: int, times: dict[int, tuple[int, int]]
 ) -> Wait | None:
-    """The same if the steps begin and end at these ``times``."""
+    """The same if the steps begin and end at these ``times`` (ns from now)."""
     plan = state.runs.plan_of(run)
     if not run.has_started:
         every = list(_list_stays(state, plan, times, times))
@@ -69,8 +73,8 @@ def _check_times(
 
 
 def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
-    """When a run that waits would first run into a booking that it does not now (UTC ns); None if there is
-    no such time within the days that are looked at."""
+    """The first time at which a waiting run, if started then, would collide with a booking with which it does
+    not collide now (UTC ns). None if there is no such time within ``HORIZON_NS``."""
     run = state.runs.queued[name]
     plan = state.runs.plan_of(run)
     times = _foresee_times(state, run, plan, 0, now)
@@ -85,7 +89,7 @@ def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
 
 
 def list_without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
-    """The modules on which bookings of others leave no gap that is long enough for a run that waits."""
+    """The waits for modules on which bookings of others leave no long enough gap for a waiting run."""
     plan = state.runs.plan_of(run)
     if not state.bookings.list_in_cell(plan.workcell):
         return []
@@ -94,7 +98,7 @@ def list_without_gap(state: LabState, run: RunState, now: int) -> list[Wait]:
 
 
 def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse], now: int) -> Iterator[Wait]:
-    """The waits for modules on which the longest of these stays has no room."""
+    """The waits for modules on which there is no gap for the longest of these stays."""
     longest: dict[tuple[ModuleName, bool], int] = {}
     for stay in stays:
         key = (stay.module, stay.clears)
@@ -108,7 +112,7 @@ def _list_without_gap(state: LabState, run: RunState, stays: Iterable[ModuleUse]
 def _check_room_for(
     state: LabState, run: RunState, plan: Plan, stays: list[ModuleUse], now: int
 ) -> Wait | None:
-    """The wait for a time at which there is room for all these stays; None if it is now."""
+    """The wait until there is room for all these stays; None if there is room now."""
     met = _find_first_met(state, run.user, stays, now)
     if met is None:
         return None
@@ -131,8 +135,8 @@ def _find_first_met(
 
 
 def _find_first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int) -> int | None:
-    """When all stays have room, if they begin together as late as that (UTC ns); None if that is not within
-    the days that are looked at."""
+    """The first time at which all these stays have room if they are moved there together (UTC ns). None if
+    there is no such time within ``HORIZON_NS``."""
     time = now
     while time <= now + HORIZON_NS:
         met = _find_first_met(state, user, stays, time)
@@ -146,8 +150,8 @@ def _find_first_fit(state: LabState, user: str, stays: list[ModuleUse], now: int
 def _foresee_times(
     state: LabState, run: RunState, plan: Plan, first: int, now: int
 ) -> dict[int, tuple[int, int]]:
-    """When each step that is still to come would begin and end if ``first`` started now and nothing else
-    were in its way (ns from now on)."""
+    """When each pending step would begin and end if ``first`` started now and nothing else caused a delay (ns
+    from now)."""
     known: dict[int, int] = {}
     found: dict[int, tuple[int, int]] = {}
     statuses = list_statuses(plan, run)
@@ -169,14 +173,14 @@ def _foresee_times(
             found[index] = (begins - now, known[index] - now)
             left.discard(index)
         if len(left) == before_pass:
-            break  # they wait for one another
+            break  # the remaining steps wait for one another
     return found
 
 
 def _list_stays(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], steps: Iterable[int]
 ) -> Iterator[ModuleUse]:
-    """The stays that these steps begin, each as long as it lasts."""
+    """The stays that these steps begin, each with its whole duration."""
     in_time = sorted(times, key=lambda index: times[index])
     for index in sorted(steps):
         if index not in times or plan.steps[index].recovers:
@@ -201,9 +205,9 @@ def _list_end_times(
     index: int,
     module: ModuleName,
 ) -> Iterator[int]:
-    """When what a step brings into a module, or leaves shut or open there, is over (ns from now on). What
-    stays behind at the run's end counts up to the last step that has to do with the module: longer than that
-    nobody knows, and a person is told of it."""
+    """The times at which the labware that a step brings into a module leaves it, and at which a door that it
+    moves is at rest again (ns from now). If labware stays there after the run, the ends of all later steps at
+    the module count: a longer stay is not known, and a person is informed of it."""
     step = plan.steps[index]
     if not any(isinstance(effect, Carrying | Sets) for effect in step.effects):
         return
@@ -229,7 +233,7 @@ def _is_inside(state: LabState, place: StationName, module: ModuleName) -> bool:
 def _list_closing_times(
     state: LabState, plan: Plan, times: dict[int, tuple[int, int]], later: list[int], step: PlanStep
 ) -> Iterator[int]:
-    """When a door or lid that a step moves away from rest is at rest again."""
+    """The times at which doors or lids that a step moves away from rest are at rest again (ns from now)."""
     known = state.modules.by_name.get(step.module)
     rest = known.spec.rest if known is not None else {}
     for effect in step.effects:
@@ -249,14 +253,15 @@ def _list_closing_times(
 
 
 class BookingTimes:
-    """When bookings of a state come near, begin and end; worked out anew when one has changed."""
+    """The times at which bookings of a state come near, begin and end. They are computed again when a booking
+    has changed."""
 
     def __init__(self) -> None:
         self._seen: int | None = None
         self._first: int | None = None
 
     def find_first(self, bookings: Bookings) -> int | None:
-        """The earliest change that is to come, or is due (UTC ns)."""
+        """The time of the earliest change that is due or in the future (UTC ns); None without bookings."""
         if not bookings.open:
             return None
         if self._seen != bookings.events:
@@ -265,7 +270,7 @@ class BookingTimes:
         return self._first
 
     def iterate_due(self, bookings: Bookings, now: int) -> Iterator[Command]:
-        """What has become due, one after the other for each booking."""
+        """The commands for changes that are due, at most one for each booking."""
         first = self.find_first(bookings)
         if first is None or now < first:
             return

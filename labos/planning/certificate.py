@@ -1,13 +1,13 @@
-"""Whether a run that is alone on the bench can keep its windows, however long its steps take.
+"""Whether a run that is alone on the bench can keep its windows for all durations of its steps.
 
-The lab decides when steps start; when they end is known only when they do. So this is dynamic controllability
-of a simple temporal network with uncertainty, checked as in P. Morris, "Dynamic controllability and
-dispatchability relationships", CPAIOR 2014 (O(n³)): from each node into which negative edges lead,
-distances are followed backwards, and a node that is met again while it is followed is on a negative cycle.
-Such a cycle goes through a window, which breaks by the cycle's length.
+The lab decides when a step starts, and learns its end only when the step has ended. So this is dynamic
+controllability of a simple temporal network with uncertainty. It is checked as in P. Morris, "Dynamic
+controllability and dispatchability relationships", CPAIOR 2014 (O(n³)). From each node into which negative
+edges lead, distances are followed backwards. A node that is met again while it is followed is on a negative
+cycle. Such a cycle goes through a window, and the window is missed by at most the cycle's length.
 
-Steps that need the same module or zone go one after the other, in the order of the plan: another order might
-keep a window that this one breaks. Nothing fails and nothing is left out; a start takes no time.
+Steps that need the same module or zone go one after the other, in the order of the plan. With another order,
+a window that is missed here might be kept. No step fails and none is left out; a start takes no time.
 """
 
 from __future__ import annotations
@@ -24,23 +24,25 @@ from labos.planning.forecast import MARGIN
 from labos.planning.timetable import find_before, find_occupied, find_setups
 
 SPREAD = round(MARGIN - 1, 9)
-"""By which part of its nominal duration a step may be shorter or longer."""
+"""The part of its nominal duration by which a step may be shorter or longer."""
 
 US = 1_000_000
-"""Times are counted in whole microseconds, so that sums are exact."""
+"""Microseconds in a second. Times are whole microseconds, so that sums are exact."""
 
 MOST_CYCLES = 1_000
-"""After so many cycles, each further one takes its window out: what it breaks by is then the least."""
+"""From this number of cycles on, each further cycle removes its window from the check. The ``breaks_by_s``
+that was found for it is then a lower bound."""
 
 MOST_STEPS = 500
-"""Of longer plans only that is said what each window breaks by for itself."""
+"""The most steps of a plan whose windows are checked together. In a longer plan, each is checked by
+itself."""
 
 Range = tuple[float, float]
-"""The least and the greatest duration of a step, in seconds."""
+"""The shortest and the longest duration of a step, in seconds."""
 
 
 class StepTime(msgspec.Struct, frozen=True):
-    """A step, and how long it takes where a window breaks (seconds)."""
+    """A step, and its duration when a window is missed (seconds)."""
 
     step: str
     takes_s: float
@@ -48,8 +50,8 @@ class StepTime(msgspec.Struct, frozen=True):
 
 class WindowVerdict(msgspec.Struct, frozen=True):
     """A window of a run: ``step`` (``index`` in the plan) starts at least ``wait_s`` and at most ``within_s``
-    after the end of ``anchor``. It can be missed by ``breaks_by_s`` seconds (0: it can be kept) if the
-    steps of ``path`` take so long."""
+    after the end of ``anchor``. It can be missed by ``breaks_by_s`` seconds (0: it can be kept). It is missed
+    by this time if the steps of ``path`` have the durations that are given there."""
 
     index: int
     step: str
@@ -65,9 +67,9 @@ class WindowVerdict(msgspec.Struct, frozen=True):
 
 
 class Certificate(msgspec.Struct, frozen=True):
-    """What is to be said of each window of a plan. ``spread`` is the part by which durations scatter;
-    ``left_out`` are the steps with windows whose clock another run starts: of these nothing is said. Where a
-    plan is too long to look at all windows together, it is not ``is_whole``."""
+    """The verdict on each window of a plan. ``spread`` is the part by which durations vary. ``left_out`` are
+    the steps with windows whose clock another run starts; there is no verdict on these windows. ``is_whole``
+    is false if the plan is too long to check all windows together."""
 
     spread: float
     windows: tuple[WindowVerdict, ...] = ()
@@ -82,8 +84,8 @@ class Certificate(msgspec.Struct, frozen=True):
 
 class _Edge(msgspec.Struct, frozen=True, eq=False):
     """``end`` comes at most ``weight`` µs after ``start``. ``case`` says whether a step may take its longest
-    there (upper case) or its shortest (lower case); ``step`` is that step, and ``window`` the number of
-    the window that it stands for. ``parts`` are the edges from which it was derived."""
+    duration there (upper case) or its shortest (lower case); ``step`` is that step. ``window`` is the number
+    of the window for which the edge stands. ``parts`` are the edges from which it was derived."""
 
     start: int
     end: int
@@ -94,7 +96,7 @@ class _Edge(msgspec.Struct, frozen=True, eq=False):
     parts: tuple[_Edge, ...] = ()
 
     def expand(self) -> Iterator[_Edge]:
-        """The edges of the network that it stands for."""
+        """The edges of the network for which this edge stands."""
         open_ = [self]
         while open_:
             edge = open_.pop()
@@ -111,10 +113,11 @@ def certify(
     spread: float = SPREAD,
     ranges: Sequence[Range] | None = None,
 ) -> Certificate:
-    """Say of each window of a plan whether it can be kept for all durations of its steps, together with the
-    others. ``ranges`` are those of all steps, in place of the nominal durations ± ``spread``; the zones are
-    the workcell's. ``breaks_by_s`` is what a window has to be wider, all others being as wide as they have
-    to be; of several that cannot be kept together, the last one is broken."""
+    """The certificate of a plan: whether each window can be kept, together with the others, for all durations
+    of the steps. ``ranges`` are the durations of all steps, in place of the nominal durations ± ``spread``
+    with set-ups; the zones are the workcell's. A window has to be wider by ``breaks_by_s``, if all others are
+    as wide as necessary. Of several windows that cannot be kept together, the last one is reported as
+    missed."""
     order = find_order(plan)
     limits = ranges or _find_limits(plan, workcell, order, spread)
     place = {step: position for position, step in enumerate(order)}
@@ -184,8 +187,8 @@ def certify(
 
 
 def _find_limits(plan: Plan, workcell: Workcell | None, order: Sequence[int], spread: float) -> list[Range]:
-    """How long steps take, with what has to be set up before them. Only the first step on a module may find
-    it set up already."""
+    """The shortest and the longest duration of each step, with the set-up of its module. Only the first of
+    the steps with a set-up on a module may find the module set up already."""
     setups = find_setups(plan, workcell, order) if workcell is not None else {}
     first: dict[str, int] = {}
     for index in order:
@@ -200,14 +203,15 @@ def _find_limits(plan: Plan, workcell: Workcell | None, order: Sequence[int], sp
 
 
 def find_order(plan: Plan) -> list[int]:
-    """The steps of the workflow itself, each behind those that it waits for, else as they are written."""
+    """The steps of the workflow itself. Each is after those that it waits for; otherwise they are in written
+    order."""
     main = {index: step for index, step in enumerate(plan.steps) if step.part == MAIN}
     return sort_by_predecessors(
         {index: [before for before in find_before(step) if before in main] for index, step in main.items()}
     )
 
 
-# -- the network: of each step its start, the soonest at which it may end, and its end ----------------
+# -- the network: for each step its start, its earliest possible end, and its end ---------------------
 
 
 def _begin(step: int) -> int:
@@ -227,7 +231,8 @@ def _convert_to_us(seconds: float) -> int:
 
 
 class _Fixed:
-    """All but the windows: durations, and after which other steps each starts, with what wait (µs)."""
+    """The network without the upper limits of windows: durations, and the steps that each step follows, with
+    the waits (µs)."""
 
     def __init__(self) -> None:
         self.edges: list[_Edge] = []
@@ -247,7 +252,7 @@ class _Fixed:
             )
 
     def follow(self, step: int, before: int, wait: int = 0) -> None:
-        """Let a step start no sooner than a time after the end of another."""
+        """Let a step start at least ``wait`` µs after the end of another step."""
         self.edges.append(_Edge(_begin(step), _end(before), -wait))
         self.before.setdefault(step, []).append((before, wait))
 
@@ -255,7 +260,7 @@ class _Fixed:
 def _find_neighbours(
     plan: Plan, workcell: Workcell | None, order: Sequence[int]
 ) -> Iterator[tuple[int, int]]:
-    """The steps that follow one another on a module or in a zone."""
+    """The pairs of steps that follow one another on a module or in a zone."""
     last: dict[str, int] = {}
     for step in order:
         for name in find_occupied(plan.steps[step], workcell):
@@ -265,8 +270,8 @@ def _find_neighbours(
 
 
 def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[int]]:
-    """How long it takes from the end of the first to the start of the last of these steps, which are in
-    order, if all take their longest (µs), and the steps on the way."""
+    """The time from the end of the first of these steps to the start of the last one (µs), and the steps
+    between them on the longest path. The steps are in order, and all take their longest duration."""
     first, last = steps[0], steps[-1]
     ends: dict[int, tuple[int, int]] = {first: (0, first)}
     starts: dict[int, tuple[int, int]] = {}
@@ -286,8 +291,8 @@ def _find_longest_path(fixed: _Fixed, steps: Sequence[int]) -> tuple[int, list[i
 def _list_taken(
     plan: Plan, cycle: Sequence[_Edge], limits: Sequence[Range], place: dict[int, int]
 ) -> tuple[StepTime, ...]:
-    """The steps of a cycle, with how long each takes there, in the order of the plan. One that stands there
-    at its longest and at its shortest does not matter."""
+    """The steps of a cycle with their durations there, in the order of the plan. A step that occurs with both
+    its longest and its shortest duration does not matter."""
     cases: dict[int, set[str]] = {}
     for edge in cycle:
         if edge.step is not None:
@@ -301,8 +306,9 @@ def _list_taken(
 
 
 def _find_shortfall(ways: Sequence[Sequence[_Edge]], window: int) -> int:
-    """By how much a window has to be wider so that a cycle through it is none any more (µs): its length, or
-    less where that lets a step take its shortest again. Less than this does not help."""
+    """By how much a window has to be wider so that a cycle through it disappears (µs). This is the cycle's
+    length for each pass through the window. Less is enough if a step may then take its shortest duration
+    again. No smaller value helps."""
     total = sum(edge.weight for way in ways for edge in way)
     found = [-(total // sum(_count_passes(edge, window) for way in ways for edge in way))]
     open_ = list(ways)
@@ -326,7 +332,8 @@ def _count_passes(edge: _Edge, window: int) -> int:
 
 
 class _Search:
-    """The edges by the node at which they end, and the nodes from which all has been followed."""
+    """The edges by the node at which they end, and the nodes from which everything was followed
+    (``done``)."""
 
     def __init__(self, edges: Sequence[_Edge]) -> None:
         self.into: dict[int, list[_Edge]] = {}
@@ -336,8 +343,9 @@ class _Search:
         self.done: set[int] = set()
 
     def follow(self, source: int) -> Iterator[tuple[int, list[_Edge]]]:
-        """Follow paths that lead to a node backwards as long as they are negative, and add those that end
-        to be so as edges. Yields the negative nodes on the way, with the path from there."""
+        """Follow paths that lead to ``source`` backwards while they are negative. Where a path stops being
+        negative, add it as an edge. Yields the negative nodes on the way that are not done, each with the
+        path from there."""
         least: dict[int, int] = {}
         first: dict[int, _Edge] = {}
         queue: list[tuple[int, int]] = []
@@ -377,8 +385,9 @@ class _Search:
 
 
 def _find_negative_cycle(edges: Sequence[_Edge], sources: Sequence[int]) -> list[list[_Edge]]:
-    """The paths of a cycle that no strategy survives, each to the node from which it was followed; none if
-    the network is dynamically controllable. ``sources`` are nodes in the order in which to look at them."""
+    """The paths of a cycle that no strategy can satisfy, each to the node from which it was followed. Empty
+    if the network is dynamically controllable. ``sources`` are nodes in the order in which they are
+    followed."""
     search = _Search(edges)
     negative = [node for node in sources if node in search.negative]
     negative += search.negative.difference(negative)

@@ -1,4 +1,4 @@
-"""What is said of the windows of a compiled workflow: sentences, warnings, and the refusal of its run."""
+"""The report on the windows of a compiled workflow: sentences, warnings, and the refusal of its run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ ACCEPT = "{remedy} To accept it, write `windows: {word}` at the top."
 
 def check_windows(compiled: Compiled, workcell: Workcell) -> Compiled:
     """A compiled workflow with a warning for each window that cannot be kept for all durations of its steps.
-    Raises SpecErrors where the workflow says `windows: refuse`; where it says `accept`, nothing is said."""
+    If it says `windows: refuse`, raises SpecErrors for such a window, or if there are too many steps to
+    certify. If it says `windows: accept`, nothing is added."""
     if compiled.windows == "accept" or not compiled.written:
         return compiled
     report = FindingList()
@@ -31,7 +32,8 @@ def check_windows(compiled: Compiled, workcell: Workcell) -> Compiled:
 
 
 def certify_all(compiled: Compiled, workcell: Workcell) -> Certificate:
-    """The certificate of a run. Where it leaves a choice of modules, the worst is said of each window."""
+    """The certificate of a run. If the run may choose modules, each window has its worst verdict of all
+    plans."""
     first, *others = (certify(plan, workcell) for plan in compiled.plans)
     worst = list(first.windows)
     for other in others:
@@ -43,7 +45,7 @@ def certify_all(compiled: Compiled, workcell: Workcell) -> Certificate:
 
 
 def describe_window(window: WindowVerdict, spread: float) -> str:
-    """A window, and whether it can be kept, without a full stop."""
+    """The text about a window and whether it can be kept, without a full stop."""
     if window.is_kept:
         return f"{_describe_limits(window)}: kept for all durations within ±{spread * 100:g} %"
     if window.path:
@@ -53,7 +55,7 @@ def describe_window(window: WindowVerdict, spread: float) -> str:
 
 
 def describe_certificate(found: Certificate) -> Iterator[str]:
-    """All that is to be said of the windows of a run, in sentences."""
+    """The sentences about all windows of a run."""
     for window in found.windows:
         yield f"{describe_window(window, found.spread)}."
     if not found.is_whole:

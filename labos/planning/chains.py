@@ -1,11 +1,11 @@
-"""A timetable of runs whose steps follow one another, with windows: for looking ahead often.
+"""A timetable of runs with windows whose steps follow one another, for frequent look-aheads.
 
-Time is cut into slots, and of each module, zone and place one number says in which slots it is taken: bit by
-bit. So it takes some operations on whole numbers to find the earliest end of a run between all others, with
-every wait that its windows allow. Where labware waits, it keeps its place.
+Time is divided into slots. For each module, zone and place, one integer says in which slots it is taken, with
+one bit for each slot. So a few operations on integers find the earliest end of a run between all others, with
+all waits that its windows allow. While labware waits, it keeps its place.
 
-Steps take their usual times, rounded up to slots. Places with room for more than one are left out, doors and
-setpoints too. Nothing that must hold rests on this timetable.
+Steps take their usual times, rounded up to slots. Places with room for more than one piece are left out, and
+so are doors and setpoints. No rule of safety depends on this timetable.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ import msgspec
 
 
 class Leg(msgspec.Struct, frozen=True, gc=False):
-    """A step of a chain: what it takes while it lasts, what the run holds before and meanwhile (numbers of
-    resources), how long it takes, and how long the run waits before it, at least and at most (slots; None: no
-    limit)."""
+    """A step of a chain. ``takes`` are the numbers of the resources that it takes while it lasts; ``holds``
+    are those that the run holds during the step and during the wait before it. ``length`` is its duration;
+    ``least`` and ``most`` limit the wait before it (slots; None: no limit)."""
 
     takes: tuple[int, ...]
     holds: tuple[int, ...]
@@ -28,8 +28,9 @@ class Leg(msgspec.Struct, frozen=True, gc=False):
 
 
 class Chain(msgspec.Struct, frozen=True, gc=False):
-    """The steps of a run that are left. ``begins``: the slot in which what is under way ends, of a run that
-    has started (else None); ``takes``: what that takes until then. ``keeps``: what is held after the end."""
+    """The remaining steps of a run. ``begins`` is the slot in which the step under way ends, if the run has
+    started (else None). ``takes`` are the resources that this step takes until then. ``keeps`` are the
+    resources that the run holds after its end."""
 
     legs: tuple[Leg, ...]
     begins: int | None = None
@@ -38,8 +39,8 @@ class Chain(msgspec.Struct, frozen=True, gc=False):
 
 
 class Fit(msgspec.Struct, frozen=True, gc=False):
-    """Where a chain fits in: the slot in which each leg starts, its end, and what is taken from when to when:
-    (resource, from, to)."""
+    """The place of a chain in the timetable: the slot in which each leg starts, the slot of its end, and
+    which slots it takes: (resource, from, to)."""
 
     starts: tuple[int, ...]
     end: int
@@ -47,7 +48,7 @@ class Fit(msgspec.Struct, frozen=True, gc=False):
 
 
 class SlotTable:
-    """In which of ``slots`` each resource is taken."""
+    """In which of the ``slots`` each resource is taken."""
 
     def __init__(self, resources: int, slots: int) -> None:
         self.slots = slots
@@ -64,7 +65,8 @@ class SlotTable:
             self.taken[resource] |= (1 << end) - (1 << begin)
 
     def fit(self, chain: Chain) -> Fit | None:
-        """The earliest end of a chain, with waits as short as that allows; None if it does not fit in."""
+        """The place of a chain with its earliest end, and with waits as short as this end allows; None if the
+        chain does not fit."""
         taken, full = self.taken, self.full
         if chain.begins is None:
             ends = full
@@ -118,7 +120,7 @@ class SlotTable:
 
 
 def _runs(free: int, length: int) -> int:
-    """The slots from which on so many are free."""
+    """The slots from which ``length`` slots in a row are free."""
     have = 1
     while have < length:
         more = min(have, length - have)
@@ -128,11 +130,12 @@ def _runs(free: int, length: int) -> int:
 
 
 def _wait(ends: int, free: int, least: int, most: int | None) -> int:
-    """The slots up to which one can wait from one of these, as long as it is free."""
+    """The slots until which a run can wait from one of ``ends``, while the slots are ``free``: at least
+    ``least`` and at most ``most`` slots (None: no limit)."""
     if least:
         ends = (ends & _runs(free, least)) << least
     if most is None:
-        # A carry runs through all free slots that follow.
+        # The carry of the addition runs through all free slots that follow.
         return ((free + (ends & free)) ^ free) | ends
     covered, left = 0, most - least
     while covered < left:

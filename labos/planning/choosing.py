@@ -1,7 +1,7 @@
-"""Which of several modules does a step of a run: of its plans, the one by whose modules it is done first.
+"""Chooses the modules of a run that has one plan for each choice: those that are done first.
 
-A run is bound to a plan when it is let in, and to another one only if a module that it still needs is down,
-what it has begun is the same in both, and nobody loses the way to the end by it.
+A run is bound to a plan when it is admitted. It changes to another plan only if a module that it still needs
+is down, if all steps that have begun are the same in both, and if no run loses its way to the end.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from labos.planning.stuck import find_block
 
 
 def sort_options(state: LabState, run: RunState, now: int) -> list[RunState]:
-    """A run that waits as it would be with each of its plans, the one first by whose modules it would be done
-    first; one that has no choice as it is."""
+    """A waiting run, once with each of its plans. The plan with which all chosen modules are done first comes
+    first. A run without a choice is returned as it is."""
     found = list_options(run)
     if len(found) == 1:
         return found
@@ -38,7 +38,7 @@ def sort_options(state: LabState, run: RunState, now: int) -> list[RunState]:
 
 
 def _load(state: LabState, module: ModuleName, now: int) -> int:
-    """How long a module still has to work for the runs inside (lab time in wall ns)."""
+    """The time that a module still has to work for the runs inside (ns of wall time)."""
     cell = workcell_of(module)
     total = 0
     for run in state.runs.list_inside(cell):
@@ -55,7 +55,7 @@ def _sum_own_time(state: LabState, run: RunState, module: ModuleName) -> int:
 
 
 def list_changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
-    """The runs inside that go on by another of their plans, as a module that they need is down."""
+    """The changes of runs inside to another of their plans, because a module that they need is down."""
     if not state.runs.choosing:
         return
     cells = {state.runs.plan_of(state.runs.active[name]).workcell for name in state.runs.choosing}

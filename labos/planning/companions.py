@@ -1,9 +1,9 @@
 """Steps of several runs that a device carries out together, as a centrifuge does.
 
-A run whose labware is in such a device waits for the labware of others that could come in time. That is no
-more than a preference: it ends when no place in the device is left, when nobody can come in time any more,
-when nothing moves in the workcell, and in any case some time after the run itself could go on. While the
-clock of a run is running that needs the device too, nobody waits.
+A run whose labware is in such a device waits for the labware of other runs that can be there in time. This is
+only a preference. The wait ends when the device has no place left, when no other run can be there in time, or
+when nothing moves in the workcell. At the latest it ends ``wait_s`` after the first run was ready. No run
+waits while an active run with windows needs the device too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ RunStep = tuple[RunState, int]
 
 
 def find_companions(state: LabState, run: RunState, index: int, now: int) -> list[RunStep]:
-    """The steps of other runs that can be carried out together with this one now."""
+    """The steps of other runs that can be carried out together with this step now."""
     step = state.runs.plan_of(run).steps[index]
     if find_together(state, step) is None or not run.has_started:
         return []
@@ -56,7 +56,7 @@ def find_companions(state: LabState, run: RunState, index: int, now: int) -> lis
 
 
 def _list_ready(state: LabState, run: RunState, module: ModuleName) -> Iterator[RunStep]:
-    """A step of each other run inside whose turn it is on a module."""
+    """For each other run inside, the first step on this module whose turn it is, if there is one."""
     plan = state.runs.plan_of(run)
     for other in state.runs.list_inside(plan.workcell):
         steps = state.runs.plan_of(other).steps
@@ -72,8 +72,8 @@ def check_for_others(
     outside: Iterable[Plan],
     now: int,
 ) -> Wait | None:
-    """How long a step waits for labware of others in its device, if it could start with its ``companions``;
-    None if it starts now. ``outside`` are plans of runs that wait to be let in."""
+    """The wait of a step, which could start with its ``companions``, for labware of other runs in its device.
+    None if it starts now. ``outside`` are plans of queued runs."""
     plan = state.runs.plan_of(run)
     step = plan.steps[index]
     together = find_together(state, step)
@@ -98,8 +98,8 @@ def check_for_others(
 
 
 def put_last(state: LabState, spots: list[Spot]) -> list[Spot]:
-    """Steps that may be carried out together come last: what others start now counts for them. Those of runs
-    with a running clock stay where they are."""
+    """The same spots. Steps that may be carried out together move to the end, to take into account what other
+    runs start now. Steps of runs with windows keep their places."""
 
     def comes_late(spot: Spot) -> bool:
         if spot.bundle or spot.run.id in state.runs.windowed:
@@ -110,13 +110,13 @@ def put_last(state: LabState, spots: list[Spot]) -> list[Spot]:
 
 
 def find_ready_time(state: LabState, run: RunState, index: int) -> int:
-    """Since when nothing of its own run keeps a step from starting (UTC ns)."""
+    """The time from which no earlier step of its own run keeps a step from starting (UTC ns)."""
     ends = [run.steps[at].ended_at or 0 for at in state.runs.plan_of(run).steps[index].after]
     return max([run.submitted_at, *ends])
 
 
 def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
-    """Whether the clock of a run is running that still needs a module, or a place there."""
+    """Whether an active run with windows needs a module or a place there, even if no clock is running."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.active.get(name)
         for step in list_left(state, run) if run else ():
@@ -138,7 +138,8 @@ def _can_anybody_come(
     now: int,
     until: int,
 ) -> bool:
-    """Whether a run that asks for the same as a step of a plan could be ready for it in time."""
+    """Whether another run, with the same request to the device as this step, could be ready by ``until`` (UTC
+    ns). False if the request depends on results of earlier steps."""
     wish, names = find_planned_wish(plan, step), {run.id for run, _ in members}
     if wish is None:
         return False
@@ -156,7 +157,7 @@ def _can_anybody_come(
 
 
 def _list_wishes(plan: Plan, step: PlanStep, wish: bytes) -> list[int]:
-    """The steps of a plan that ask for the same."""
+    """The steps of a plan with the same request (``wish``) as this step."""
     return [
         index
         for index, each in enumerate(plan.steps)
@@ -165,7 +166,7 @@ def _list_wishes(plan: Plan, step: PlanStep, wish: bytes) -> list[int]:
 
 
 def _comes_by(state: LabState, run: RunState, index: int, now: int, until: int) -> bool:
-    """Whether a run inside goes on, and its step could start by a time if nothing was in its way (UTC ns)."""
+    """Whether a run inside can continue, and its step could start by ``until`` (UTC ns) without any delay."""
     if run.status != RunStatus.ACTIVE or find_holds(run) or find_block(state, run) is not None:
         return False
     plan = state.runs.plan_of(run)
@@ -178,8 +179,8 @@ def _comes_by(state: LabState, run: RunState, index: int, now: int, until: int) 
 
 
 def make_command(starts: list[tuple[RunId, int, ActionId]], plan: str, now: int) -> Command:
-    """The command that starts a step, or steps of several runs together. ``plan`` is the one to which the run
-    is bound, if it has several."""
+    """The command that starts a step, or steps of several runs together. ``plan`` is the plan to which the
+    run is bound, if it has several."""
     commands = [StartStep(run, step, action, now, plan) for run, step, action in starts]
     return commands[0] if len(commands) == 1 else StartTogether(tuple(commands))
 

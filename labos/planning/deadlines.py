@@ -1,6 +1,6 @@
-"""Times after which something is late, or over: windows, actions, outages, planned work.
+"""Deadlines: the times after which windows, actions, outages, planned work and so on are late or over.
 
-Kept in order of time, and worked out anew only for what an event has touched.
+They are kept in order of time. Only those that an event has touched are computed again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touc
 
 
 class Deadlines:
-    """The deadlines of one state, which only moves forward; ``note_changes`` is told what events touch."""
+    """The deadlines of one state, which only moves forward. ``note_changes`` gets what events touch."""
 
     def __init__(self) -> None:
         self._windows: Alarms[RunId] = Alarms()
@@ -57,7 +57,7 @@ class Deadlines:
                     self._note_question(state, InterventionId(name))
 
     def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
-        """What the time that has come asks for."""
+        """The commands for all deadlines that are due."""
         if not self._filled:
             self._fill(state)
         for run in self._windows.list_due(now):
@@ -65,7 +65,7 @@ class Deadlines:
                 if now > deadline:
                     yield BreachWindow(run, step, window, now)
         for action in self._actions.list_due(now):
-            self._note_action(state, action)  # what it is allowed may have become more since
+            self._note_action(state, action)  # its time limit may have been extended since
         for action in self._actions.list_due(now):
             yield TimeOutAction(action, now)
         for module, back_at in list(state.modules.back_at.items()):
@@ -73,18 +73,18 @@ class Deadlines:
                 yield EndOutage(module, now)
         yield from self._bookings.iterate_due(state.bookings, now)
         for run in self._closings.list_due(now):
-            self._note_closing(state, run)  # somebody may have been told since
+            self._note_closing(state, run)  # a person may have been asked since
         for run in self._closings.list_due(now):
             yield AskAboutClosing(run, now)
         for question in self._questions.list_due(now):
             yield NoteOverdue(question, now)
 
     def find_first(self, state: LabState) -> int | None:
-        """The earliest time that is still to come, or has come and nothing followed (UTC ns)."""
+        """The earliest deadline (UTC ns); None if there is none. It may be past, if nothing followed it."""
         if not self._filled:
             self._fill(state)
         while (at := self._actions.find_first()) is not None:
-            # What an action is allowed may have become more since: its device has answered.
+            # The time limit of an action may have been extended since: its device has answered.
             action = self._actions.list_due(at)[0]
             due = _find_due_time(state, action)
             if due == at:
@@ -94,7 +94,7 @@ class Deadlines:
         times = [*alarms, *state.modules.back_at.values(), self._bookings.find_first(state.bookings)]
         return min((time for time in times if time is not None), default=None)
 
-    # -- working out -------------------------------------------------------------------------
+    # -- computing ---------------------------------------------------------------------------
 
     def _fill(self, state: LabState) -> None:
         self._filled = True
@@ -138,8 +138,8 @@ class Deadlines:
 
 
 def _find_due_time(state: LabState, name: ActionId) -> int | None:
-    """When the time of an action in flight is over (UTC ns), as its step limits it, its node is gone or its
-    device stands still; None if it is not limited."""
+    """The time at which an action in flight passes its time limit (UTC ns). The limit is the time-out of its
+    step, or it counts since the node is gone or the device stands still. None if there is no limit."""
     action = state.actions.open.get(name)
     if action is None:
         return None
@@ -153,8 +153,8 @@ def _find_due_time(state: LabState, name: ActionId) -> int | None:
 
 
 def _list_windows(state: LabState, name: RunId) -> Iterator[tuple[int, int, int]]:
-    """(step, window, deadline) of every running window of a run's steps that have not started, and for which
-    it is not known yet that they are late."""
+    """(step, window, deadline) of every running window of a run's pending steps, without the steps that are
+    known to be late. Deadlines are UTC ns."""
     run = state.runs.get(name)
     plan = state.runs.plans[run.plan] if run is not None else None
     for index in plan.windowed if plan is not None else ():

@@ -1,4 +1,4 @@
-"""Due dates of runs: which of a user's runs goes first."""
+"""Due dates of runs: which run of a user goes first."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from labos.core.state import LabState
 from labos.planning.forecast import find_earliest_start, find_usual_time
 
 UNDATED = float("inf")
-"""The rank of a run that is not due at any time: it goes after those that are."""
+"""The rank of a run without a due date: it goes after runs with one."""
 
 
 class DueDates:
-    """Ranks runs by how little time they have to spare; ``forget`` what was worked out after each turn."""
+    """Ranks runs by the time that they have to spare. Results count for one turn (``forget``)."""
 
     def __init__(self) -> None:
         self._left: dict[str, int] = {}
 
     def forget(self) -> None:
-        """Lengths may have been learned, and clocks have gone on."""
+        """Forget all results: durations may have been learned, and time has passed."""
         self._left.clear()
 
     def rank(self, state: LabState, run: RunState) -> float:
-        """When a run has to go on at the latest so that it is over when it is due (UTC ns). The least goes
-        first; that one may have passed."""
+        """The latest time at which a run has to continue, so that it ends by its due date (UTC ns; it may
+        have passed). ``UNDATED`` if it has none. The least goes first."""
         if not run.due_at:
             return UNDATED
         if run.has_started:
@@ -35,8 +35,8 @@ class DueDates:
 
 
 def find_time_left(state: LabState, run: RunState) -> int:
-    """What is left of a run, if nothing is in its way (ns of wall time): the longest chain of its steps, with
-    the waits between them."""
+    """The time that a run still takes without any delay (ns of wall time): the longest chain of its main
+    steps that have not ended, with the waits between them. A step in flight counts in full."""
     plan, now = state.runs.plan_of(run), state.recorded_at
     ends: dict[int, int] = {}
     for index, step in enumerate(plan.steps):

@@ -1,4 +1,4 @@
-"""Older runs that were overtaken too often: younger ones stay out for them."""
+"""Elders: waiting runs that were overtaken too often. Younger runs wait outside until they have started."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from labos.planning.waiting import WaitingRoom, list_modules
 
 
 class Elders:
-    """Finds the elder run for which another one waits outside."""
+    """Finds the elder run for which another run waits outside."""
 
     def __init__(self, room: WaitingRoom, safety: Safety, reservations: Reservations) -> None:
         self._room = room
@@ -26,7 +26,7 @@ class Elders:
         self._known_at: tuple[int, int] | None = None
 
     def find_protected(self, state: LabState, run: RunState, now: int) -> str:
-        """The elder run that this run has to stay out for; empty if there is none."""
+        """The elder run for which this run has to wait outside; empty if there is none."""
         plan = state.runs.plans[run.plan]
         mine: set[ModuleName] | None = None
         for elder in self._room.list_overtaken(state, plan.plan.workcell):
@@ -40,18 +40,20 @@ class Elders:
         return ""
 
     def _is_next(self, state: LabState, elder: RunState, now: int, windowed: bool) -> bool:
-        """Whether a run would come in next, with the plan that it has here, if nobody else was let in."""
+        """Whether an elder run could start next with this plan, if no other run started. ``windowed``: the
+        run that waits for it has windows."""
         first = state.runs.plans[elder.plan].starts[0]
         if not self._is_able(state, elder, first, now):
             return False
         if state.bookings.open and booked.check_start(state, elder, first, now) is not None:
-            return False  # it waits until somebody else's booking is over
-        # It may wait for a time: who reserves nothing does not put it off.
+            return False  # it waits until a booking of others is over
+        # The elder may wait for a reservation to end. A run without windows reserves nothing, so its start
+        # does not delay the elder.
         return windowed or self._reservations.check_start(state, elder, first, now, self._safety) is None
 
     def _is_able(self, state: LabState, elder: RunState, first: int, now: int) -> bool:
-        """Whether neither the first step of a run nor a later one waits for a person, and no labware that
-        nobody moves is in its way. Worked out once for each position of the log."""
+        """Whether neither the first step of an elder run nor a later one is blocked, and no obstacle stays in
+        its way after all other runs have moved. Computed once for each position of the log and time."""
         if self._known_at != (state.position, now):
             self._known_at = state.position, now
             self._able.clear()

@@ -1,4 +1,4 @@
-"""The floor of a workcell as safety sees it: who has how much labware where, and who holds what."""
+"""The floor of a workcell, as deadlock avoidance sees it: where actors have labware, and what they hold."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from labos.core.ids import ModuleName, Owner, StationName
 from labos.planning.paths import ClosingStep, Motion, MotionStep, Orders
 
 OTHERS = "others"
-"""Holder of what belongs to no actor."""
+"""The holder of labware that belongs to no actor."""
 
 
 class Branch(msgspec.Struct, frozen=True):
-    """One way that an actor may have to go from a fork to its end; on one that ``fails`` its run does not
-    come to the end of its workflow."""
+    """One of the paths that an actor may have to take from a fork to its end. On a path that ``fails``, its
+    run does not reach the end of its workflow."""
 
     motions: tuple[Motion, ...]
     fails: bool = False
 
 
 class Actor(msgspec.Struct):
-    """Somebody with labware and a way to go. ``own`` counts its labware by station; of what the
-    owners of its ``inputs`` have it may use what nobody has used before. ``stuck``: it cannot
-    reach its end whatever the others do (paused, needs a dead module, has uncertain labware).
-    ``parks``: its experiment is open; only its application knows when it closes. ``home``: the experiment
-    whose closing workflow waits for its end. Behind its ``motions``
-    the way may fork (``forks``); ``done`` counts the motions, and the forks as one. ``kept``: what must stay
-    free for what it has in flight, as that may fail. Its motions stand in one order; if there are others
-    (``orders``), it may be given one of them. ``over`` are then the steps that it has begun."""
+    """A run or the closing workflow of an experiment, with its labware and the ``motions`` that it has left.
+    ``own`` counts its labware by station. It may also use labware of the owners in ``inputs``, if no actor
+    has used it before. ``stuck``: it cannot reach its end whatever the other actors do (paused, needs a
+    module that is down, has uncertain labware). ``parks``: its experiment is open; only the application knows
+    when it closes. ``home``: the experiment whose closing workflow waits for its end. After its motions, the
+    path may fork (``forks``). ``done`` counts the motions that are done, and the forks as one. ``kept``: what
+    must stay free in case its actions in flight fail. The motions are in one order. If other orders are
+    possible (``orders``), it may get one of them; ``over`` are the steps that it has begun."""
 
     name: str
     owners: tuple[Owner, ...]
@@ -47,15 +47,15 @@ class Actor(msgspec.Struct):
 
     @property
     def length(self) -> int:
-        """What it has to do before it is at its end."""
+        """The number of its motions; the forks count as one."""
         return len(self.motions) + bool(self.forks)
 
     def find_next_step(self) -> MotionStep | None:
-        """The step of its next motion; None behind its motions."""
+        """The step of its next motion; None after its last motion."""
         return self.motions[self.done].step if self.done < len(self.motions) else None
 
     def begin(self, step: MotionStep) -> None:
-        """It has begun a step: what is left is the rest."""
+        """Remove the motions of a step that it has begun."""
         self.motions = tuple(motion for motion in self.motions if motion.step != step)
         if isinstance(step, int):
             self.over |= {step}
@@ -64,21 +64,22 @@ class Actor(msgspec.Struct):
 Loans = tuple[tuple[StationName, Owner], ...]
 
 Change = tuple[dict[Any, Any], str, Any]
-"""A table of a floor or of an actor, the key whose value was changed, and the value before."""
+"""A table of a floor or of an actor, the key of the changed value, and the value before (or ``ABSENT``)."""
 
 ABSENT: Final = object()
-"""In place of a value: there was none."""
+"""Stands in a change for the value of a key that was not in the table."""
 
 
 class Floor(msgspec.Struct):
-    """How full the stations are, how much the stacks hold, who claims which deck, what users and
-    everybody have where (``pools``), who holds what beside (``held``: key → actor → value, see
-    ``held.py``), whose doors and decks stations are behind (``behind``), whose hands they are (``arms``),
-    what lies on stacks (``piles``, bottom to top: actors, or owners who are none): of them only the
-    topmost can be had; what is lent to actors until their ends (``lent``: where it stands, whose it
-    is); and how the variables of modules stand that have no rest (``values``, by their keys).
-    ``changes`` were made one after the other since it was laid out or copied: motions are tried out and
-    taken back."""
+    """How full stations are (``count``, of ``capacity``), and how much labware stacks hold (``stock``).
+    ``claims``: which deck labware at a station claims. ``claimed``: how much labware actors have on each
+    deck. ``endless``: waste stations. ``pools``: labware that several runs may use, by owner and station.
+    ``held``: what actors hold besides (key → actor → value, see ``held.py``). ``behind``: the module whose
+    door or deck gives access to a station. ``arms``: the module whose gripper a station is. ``piles``: the
+    actors or other owners of labware on stacks, from bottom to top; only the topmost piece can be taken.
+    ``lent``: what actors have on loan until their ends (place, owner). ``values``: variables of modules
+    without a rest position, by their keys. ``changes``: all changes since it was laid out or copied, in
+    order. With them, motions are tried and undone."""
 
     count: dict[StationName, int] = {}
     capacity: dict[StationName, int] = {}
@@ -96,20 +97,20 @@ class Floor(msgspec.Struct):
     changes: list[Change] = []
 
     def put(self, table: dict[Any, Any], key: str, value: Any) -> None:
-        """Let a table of the floor, or of an actor on it, have a value."""
+        """Set a value in a table of the floor or of an actor on it, and note the change."""
         self.changes.append((table, key, table.get(key, ABSENT)))
         table[key] = value
 
     def add(self, counts: dict[Any, int], key: str, change: int) -> None:
-        """Let a count be so much greater."""
+        """Add ``change`` to a count."""
         self.put(counts, key, counts.get(key, 0) + change)
 
     def drop(self, table: dict[Any, Any], key: str) -> None:
-        """Let a table have no value any more for a key that it has."""
+        """Remove a key from a table that has it, and note the change."""
         self.changes.append((table, key, table.pop(key)))
 
     def take_back(self, mark: int) -> None:
-        """Undo all changes but the first ``mark``."""
+        """Undo all changes except the first ``mark``."""
         while len(self.changes) > mark:
             table, key, before = self.changes.pop()
             if before is ABSENT:
@@ -119,16 +120,16 @@ class Floor(msgspec.Struct):
 
 
 def is_closing(motion: Motion) -> bool:
-    """Whether a motion belongs to the closing workflow behind a run."""
+    """Whether a motion belongs to the closing workflow that follows a run."""
     return isinstance(motion.step, ClosingStep)
 
 
 UNSETTLED = object()
-"""The value of a variable that may be one or the other."""
+"""The value of a variable that differs between the branches after a fork."""
 
 
 def change_claim(floor: Floor, station: StationName, who: str, change: int) -> None:
-    """So much more labware of somebody stands where it claims a deck."""
+    """Add ``change`` to the labware of ``who`` on a station's deck. Without a deck or ``who``, do nothing."""
     claim = floor.claims.get(station)
     if claim and who:
         floor.add(floor.claimed.setdefault(claim, {}), who, change)

@@ -1,7 +1,7 @@
-"""What a start would occupy, and for how long, by what was learned of durations, else by nominal ones.
+"""What a start would occupy, and for how long: by learned durations, or by nominal ones if too few are known.
 
-A forecast may be wrong. It is good enough to leave room for those who are in a hurry; nothing that
-must hold rests on it.
+A forecast may be wrong. It is good enough to keep room for runs with windows. No rule that must always hold
+depends on it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from labos.core.state import LabState
 from labos.core.zones import find_zones
 
 MARGIN = 1.1
-"""Durations scatter: a forecast counts each of them this much longer, and as long as the longest that was
-learned if that is more."""
+"""The factor by which a forecast lengthens each duration, because durations vary. If the longest learned
+duration is longer, it counts instead."""
 
 FOR_EVER = 2**62
-"""Nanoseconds for which labware stays where its run leaves it."""
+"""The duration (ns) of a stay that no step of the run ends."""
 
 
 def find_longest_time(state: LabState, step: PlanStep) -> int:
-    """The longest time that a step takes if nothing is in its way (ns of wall time)."""
+    """The longest time that a step takes if nothing is in its way, with its set-up (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         return max(known.high, int(known.usual * MARGIN)) + find_setup_ns(state, step)
@@ -37,14 +37,14 @@ def find_longest_time(state: LabState, step: PlanStep) -> int:
 
 
 def find_usual_time(state: LabState, step: PlanStep) -> int:
-    """The usual time that a step takes (ns of wall time)."""
+    """The usual time that a step takes, with its set-up (ns of wall time)."""
     known = state.lengths.estimate(step, state.lab.pace)
     own = known.usual if known is not None else convert_lab_s(state, step.duration_s)
     return own + find_setup_ns(state, step)
 
 
 def find_setup_ns(state: LabState, step: PlanStep) -> int:
-    """How much longer a step would take now, as its module is set up for something else (ns of wall time)."""
+    """How much longer a step would take now because of its module's set-up (ns of wall time)."""
     module = state.modules.by_name.get(step.module)
     if module is None or module.spec.setup is None:
         return 0
@@ -52,14 +52,14 @@ def find_setup_ns(state: LabState, step: PlanStep) -> int:
 
 
 def find_setup_in_progress(state: LabState, action: Action) -> int:
-    """How much longer an action in flight takes, as its module is set up for it first (ns of wall time)."""
+    """How much longer an action in flight takes because of its module's set-up (ns of wall time)."""
     flight = state.modules.by_name[action.module].in_flight.get(action.id)
     return convert_lab_s(state, flight.setup_s) if flight is not None and flight.setup_s else 0
 
 
 def find_spread(state: LabState, step: PlanStep) -> int:
-    """The difference between a step's longest and shortest time (ns of wall time): its module may be set up
-    for it by then."""
+    """The difference between a step's longest and shortest time (ns of wall time). The shortest time has no
+    set-up: the module may be set up for the step by then."""
     known = state.lengths.estimate(step, state.lab.pace)
     if known is not None:
         margin = int(known.usual * (MARGIN - 1))
@@ -70,12 +70,12 @@ def find_spread(state: LabState, step: PlanStep) -> int:
 
 
 def is_pending(run: RunState, index: int) -> bool:
-    """Whether a step has not started, also of a run that has not."""
+    """Whether a step has not started. True for each step of a run that has not started."""
     return not run.has_started or run.steps[index].status == PENDING
 
 
 def list_ready_steps(state: LabState, run: RunState) -> list[int]:
-    """Steps whose turn it is: pending, with everything before them done."""
+    """The pending steps of a started run for which all steps before them are done."""
     plan, steps = state.runs.plan_of(run), run.steps
     found: list[int] = []
     for index, step in enumerate(steps):
@@ -89,13 +89,13 @@ def list_ready_steps(state: LabState, run: RunState) -> list[int]:
 
 
 def list_left(state: LabState, run: RunState) -> list[PlanStep]:
-    """The steps of a run inside that are not over."""
+    """The steps of a run inside that have not ended."""
     steps = state.runs.plan_of(run).steps
     return [step for step, at in zip(steps, run.steps, strict=True) if at.status not in SETTLED]
 
 
 def list_clocked(plan: PlanState, index: int) -> list[int]:
-    """The steps that have to follow the end of this one in time."""
+    """The steps that have to start within a limited time after the end of this step."""
     return [
         follower
         for follower in plan.windowed
@@ -105,13 +105,13 @@ def list_clocked(plan: PlanState, index: int) -> list[int]:
 
 
 def takes_from(step: PlanStep, place: StationName) -> bool:
-    """Whether a step carries labware away from a place."""
+    """Whether a step carries labware with an id away from a place."""
     return any(what.emptied == place and not what.stock for what in list_carried(step.effects))
 
 
 def find_pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
-    """The steps that have still to be started before this one can be, in an order in which they
-    may be, and the step itself at the end."""
+    """The pending steps that have to start before this step can, in a possible order. The step itself is the
+    last."""
     left = {index}
     open_ = [index]
     while open_:
@@ -129,9 +129,9 @@ def find_pending_before(run: RunState, plan: Plan, index: int) -> list[int]:
 
 
 def list_uses(state: LabState, run: RunState, index: int, now: int) -> dict[str, int]:
-    """The modules, stations and zones (as keys) that a step takes from others when it starts now, and
-    for how long (ns): while it is carried out; while labware stands where it was brought; while a door
-    or lid is away from rest; while the plan holds a module."""
+    """The modules, stations and zones (as keys) that a step takes from other runs if it starts now, and for
+    how long (ns). It takes them while it is carried out, or while its labware stands where it was brought. It
+    also takes them while a door or lid is not at rest, or while the plan holds a module."""
     found: dict[str, int] = {}
     for key, time in _list_uses(state, run, index, now):
         found[key] = max(found.get(key, 0), time)
@@ -178,7 +178,7 @@ def _find_reached(state: LabState, place: StationName, takes: int) -> Iterator[t
 def _list_arrivals(
     state: LabState, run: RunState, index: int, place: StationName, now: int
 ) -> Iterator[tuple[str, int]]:
-    """What labware occupies where a step brings it, until a later step carries it away."""
+    """What labware occupies at the place to which a step brings it, until a later step carries it away."""
     station = state.bench.stations[place]
     if station.spec.kind == "waste":
         return
@@ -192,8 +192,9 @@ def _list_arrivals(
 def _measure_until(
     state: LabState, run: RunState, index: int, now: int, ends: Callable[[PlanStep], bool]
 ) -> int:
-    """How long it takes from a step's start to the end of the next step for which ``ends`` is true,
-    with the steps between them one after the other and their waits; for ever if there is none."""
+    """The time from a step's start to the end of the next pending step for which ``ends`` is true (ns). The
+    steps that have to come before it are added one after the other, with their waits. ``FOR_EVER`` if there
+    is no such step."""
     plan = state.runs.plan_of(run)
     later = (i for i, step in enumerate(plan.steps) if i != index and is_pending(run, i) and ends(step))
     last = next(later, None)
@@ -221,7 +222,7 @@ def find_latest_starts(
     due: int,
     find_time: Callable[[LabState, PlanStep], int],
 ) -> dict[int, int]:
-    """When steps have to start at the latest so that the last one of them starts when it is due (UTC ns)."""
+    """The latest times at which steps have to start so that the last of them starts at ``due`` (UTC ns)."""
     latest = dict.fromkeys(chain, due)
     for follower in reversed(chain):
         step = plan.steps[follower]
@@ -234,8 +235,8 @@ def find_latest_starts(
 
 
 def find_earliest_start(state: LabState, run: RunState, index: int, known: Mapping[int, int]) -> int:
-    """When the windows of a step let it start, as far as their clocks run (0: at once). ``known``
-    are ends of steps that are foreseen."""
+    """The earliest time at which the windows of a step let it start, by their running clocks (UTC ns; 0: at
+    once). ``known`` are expected ends of steps."""
     return max(
         (ended + convert_lab_s(state, w.wait_s) for w, ended in _list_clocks(state, run, index, known)),
         default=0,
@@ -245,7 +246,8 @@ def find_earliest_start(state: LabState, run: RunState, index: int, known: Mappi
 def find_deadline(
     state: LabState, run: RunState, index: int, known: Mapping[int, int] = MappingProxyType({})
 ) -> int | None:
-    """When a step has to have started at the latest; None if no clock of its windows runs."""
+    """The latest time at which a step has to start (UTC ns). None if no clock of a window with an upper limit
+    runs. ``known`` are expected ends of steps."""
     return min(
         (
             ended + convert_lab_s(state, window.within_s)
@@ -259,7 +261,8 @@ def find_deadline(
 def _list_clocks(
     state: LabState, run: RunState, index: int, known: Mapping[int, int]
 ) -> Iterator[tuple[Window, int]]:
-    """The windows of a step whose clock runs, and since when (UTC ns)."""
+    """The windows of a step whose clocks run, and since when (UTC ns). ``known`` are expected ends of
+    steps."""
     for window in state.runs.plan_of(run).steps[index].windows:
         ended = known.get(window.anchor) if window.anchor is not None else None
         if ended is None:

@@ -1,12 +1,12 @@
-"""Actors whose way forks: a step may fail and be skipped or recovered from.
+"""Actors whose way forks: a step may fail and be skipped or recovered from, or a condition may leave it out.
 
-Nobody can choose which branch such an actor goes. So it counts as one who reaches its end only if it
-does so on every branch, one after the other from the same floor; and what it leaves for the others is
-the worst of all branches: at each place the most labware that one of them leaves there. Up to the first
-fork its motions may be mixed with others'; from there on it goes alone to its end.
+The scheduler cannot choose the branch that such an actor takes. So the actor reaches its end only if it does
+so on every branch, each from the same floor. For the other actors, the worst of all branches counts: at each
+place the most labware that one of them leaves there. Before the first fork, the motions of the actor and of
+others may alternate. From the fork on, it goes alone to its end.
 
-A branch on which the run fails has to be possible too; what it leaves in the way, a person is asked to
-take away, as after any failure.
+A branch on which the run fails has to be possible too. What it leaves in the way does not count: a person is
+asked to take it away, as after any failure.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ def find_branches(
     tail: tuple[Motion, ...],
     failing: tuple[Motion, ...] = (),
 ) -> tuple[tuple[Motion, ...], tuple[Branch, ...]]:
-    """What is left of a way that forks, given the states of the run's steps: the motions before the first
-    fork, and the branches behind it. ``tail`` follows at the end of each, ``failing`` at the end of those on
-    which the run fails."""
+    """The rest of a way that forks, for these states of the run's steps: the motions before the first fork,
+    and the branches behind it. Branches on which the run fails are last and end with ``failing``, the others
+    with ``tail``."""
     troubles, known = _list_failed(run), find_decided(plan, steps, find_results(plan, run))
     over = {
         index
@@ -66,7 +66,7 @@ def find_branches(
         common += 1
     if len(lists) <= 1:
         return (lists[0] if lists else tail), ()
-    # The motions of a step that differ from branch to branch are not torn from the rest of it.
+    # The motions of one step stay together: if they differ between branches, all of them are in the branches.
     while common and any(len(m) > common and m[common].step == m[common - 1].step for m in lists):
         common -= 1
     forks = tuple(Branch(motions[common:], fails) for motions, fails in branches.items())
@@ -74,7 +74,7 @@ def find_branches(
 
 
 def _is_possible(way: Way, plan: Plan, steps: Sequence[StepStatus], troubles: Collection[int]) -> bool:
-    """Whether a run whose steps have these states may still go this way."""
+    """Whether a run whose steps have these states may still take this way."""
     for index, status in enumerate(steps):
         if plan.steps[index].part != MAIN:
             continue
@@ -99,17 +99,17 @@ def _list_failed(run: RunState) -> frozenset[int]:
 
 
 def _list_undecided(ways: Sequence[Way], run: RunState, steps: Sequence[StepStatus]) -> list[int]:
-    """The steps in flight that may fail and be skipped or recovered from. What may have been done is taken
-    for done, as the floor has it."""
+    """The steps in flight that may fail and be skipped or recovered from. A step with an unknown outcome is
+    not listed: it counts as done, as on the floor."""
     failing = {index for way in ways for index in way.without | way.rescued}
     doubtful = {index for index, step in enumerate(run.steps) if step.status == UNKNOWN}
     return sorted(index for index in failing - doubtful if steps[index] == IN_FLIGHT)
 
 
 def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]) -> list[Motion]:
-    """What has to be kept for the steps in flight that may fail, as nobody knows yet how they end: the places
-    that their labware comes from, and what they let go of. A setpoint that they change is nobody else's:
-    it may stay as it is."""
+    """What has to be kept for the steps in flight that may fail, because their outcome is not known yet: the
+    places from which their labware comes, and what they release. A setpoint that they change cannot be
+    shared, because it may keep its old value."""
     possible = [
         (way, motions) for way, motions in path.ways if _is_possible(way, plan, steps, _list_failed(run))
     ]
@@ -128,13 +128,13 @@ def find_kept(path: Path, plan: Plan, run: RunState, steps: Sequence[StepStatus]
 
 
 def _find_left(motions: Iterable[Motion]) -> list[StationName]:
-    """The places that labware leaves with these motions, and would stand at again if they failed."""
+    """The places that labware leaves with these motions, and to which it returns if they fail."""
     return [motion.emptied for motion in motions if motion.emptied and not motion.new]
 
 
 def _list_outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) -> list[Motion]:
-    """How a step in flight ends on this way. On the floor it counts as done, and what ``find_kept`` says is
-    kept for the case that it fails."""
+    """The motions with which a step in flight ends on this way. On the floor the step counts as done, and
+    what ``find_kept`` lists is kept in case it fails. If it fails on this way, its motions are undone."""
     motions = list_motions(path, index)
     found = [Motion(index, place, back=True) for place in _find_left(motions)]
     if index not in way.without | way.rescued:
@@ -152,8 +152,8 @@ def _list_outcome(path: Path, way: Way, on_way: Sequence[Motion], index: int) ->
 
 
 def list_motions(path: Path, step: int) -> list[Motion]:
-    """The motions of a step, on whichever way it is done. Where it would be the last on one way, but not on
-    another, it lets go only of what it lets go of on both."""
+    """The motions of a step, from a way that contains it. If several ways do, it is the one on which the step
+    releases least, because the step may be the last on one way but not on another."""
     lists = [motions for _, motions in path.ways] if path.ways else [path.motions]
     found = [[motion for motion in motions if motion.step == step] for motions in lists]
     return min(filter(None, found), key=lambda motions: sum(len(m.frees) for m in motions), default=[])
@@ -163,8 +163,8 @@ def list_motions(path: Path, step: int) -> list[Motion]:
 
 
 def finish(floor: Floor, actor: Actor) -> bool:
-    """Let an actor that stands before its fork go to its end on every branch; False, and nothing changed, if
-    one of them is blocked. What the floor holds then is the worst of all ends."""
+    """Let an actor that is at its fork go to its end on every branch. The floor then has the worst of all
+    ends. Returns False, without a change, if a branch is blocked."""
     mark = len(floor.changes)
     ends: list[list[dict[Any, int]]] = []
     values: list[dict[str, Any]] = []
@@ -200,8 +200,8 @@ def finish(floor: Floor, actor: Actor) -> bool:
 
 
 def _list_tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
-    """Counts of which the others would rather see less (of all labware, of the actor's, of what it leaves),
-    then those of which they want more."""
+    """First the counts of which less is better for other actors: all labware, the actor's own, and what it
+    leaves for its closing workflow. Then those of which more is better: stock, and its inputs' pools."""
     pools = [floor.pools[owner] for owner in actor.inputs if owner in floor.pools]
     left = floor.pools.setdefault(name_leftover_owner(actor.home), {}) if actor.home else {}
     return [floor.count, actor.own, left, floor.stock, *pools]

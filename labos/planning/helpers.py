@@ -1,7 +1,7 @@
-"""Who has to move first so that a run can go its way: no reservation for that run may stop them.
+"""Finds the runs that have to move before a run can continue. No reservation for that run may stop them.
 
-These are the runs whose labware stands where the run has to pass, the runs that its next motion would trap,
-and in turn the runs that stand in the way of those."""
+These are the runs whose labware is in the run's way, and those that its next motion would trap. The runs that
+are in the way of these are included too."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ ANYWHERE = StationName("")
 
 
 class Helpers(msgspec.Struct):
-    """``runs`` have to move first, and so have the runs that carry away the labware of ``parked`` (where,
-    whose). ``in_vain``: the run could not reach its end whichever runs move, so no room need be kept for it.
-    ``times`` (UTC ns) are when it may be somebody else."""
+    """``runs`` have to move first. So do the runs that carry away the labware in ``parked`` (place, owner).
+    ``in_vain``: the run cannot reach its end whichever runs move, so no room has to be kept for it. ``times``
+    are when the helpers may change, because a step no longer has to wait (UTC ns)."""
 
     runs: dict[RunId, bool] = {}
     parked: dict[tuple[StationName, Owner], bool] = {}
@@ -35,7 +35,7 @@ class Helpers(msgspec.Struct):
     times: list[int] = []
 
     def include(self, state: LabState, run: RunState) -> bool:
-        """Whether a run is one of them."""
+        """Whether a run is a helper; if ``in_vain``, every run is."""
         if self.in_vain or run.id in self.runs:
             return True
         owners = list_party(run)
@@ -46,7 +46,7 @@ class Helpers(msgspec.Struct):
 
 
 def find_helpers(state: LabState, run: RunState, chain: Iterable[int], now: int, safety: Safety) -> Helpers:
-    """Who has to move first so that these steps of a run can be carried out."""
+    """The runs that have to move first so that these steps of a run can be carried out."""
     search = _Search(state, now, safety, state.runs.plan_of(run).workcell)
     search.add_blockers(run, set(chain))
     return search.found
@@ -69,7 +69,7 @@ class _Search:
                     self._standing.setdefault(target, []).append(run_owner(action.run))
 
     def add_blockers(self, run: RunState, steps: set[int]) -> None:
-        """Add everybody who keeps these steps of a run from being carried out."""
+        """Add all runs that prevent these steps of a run."""
         plan = self.state.runs.plan_of(run)
         for index in sorted(steps):
             step = plan.steps[index]
@@ -92,7 +92,7 @@ class _Search:
                 self._add(place, owner)
 
     def add_holders(self, name: ModuleName, run: RunState) -> None:
-        """The runs that hold a module have to come away from it, shut its door, do what they held it for."""
+        """Add the runs that keep a module: by labware in it, by a hold, or by a door away from rest."""
         bench, mine = self.state.bench, list_party(run)
         for place in bench.by_module.get(name, ()):
             if bench.stations[place].spec.claim:
@@ -109,7 +109,7 @@ class _Search:
                 self._add(ANYWHERE, run_owner(by))
 
     def add_setpoint_holders(self, name: ModuleName, effect: Claims, run: RunState) -> None:
-        """The runs that need another value have to let go of the setpoint."""
+        """Add the runs that hold a setpoint at another value: they have to release it."""
         held = self.state.modules.by_name[name].setpoints.get(effect.setpoint)
         if held is not None and held.value != effect.value:
             for holder in held.holders:
@@ -117,7 +117,7 @@ class _Search:
                     self._add(ANYWHERE, run_owner(RunId(holder)))
 
     def _add(self, place: StationName, owner: Owner) -> None:
-        """Labware of an owner has to leave a place (any: everything that its run has left to do)."""
+        """Labware of an owner has to leave a place. ANYWHERE: its run has to do all its remaining steps."""
         kind, name = split_key(owner)
         if kind == "run":
             self._add_run(RunId(name), place)
@@ -142,7 +142,7 @@ class _Search:
         self.add_blockers(run, set(steps))
 
     def _add_trapped(self, run: RunState, steps: set[int]) -> None:
-        """The runs that its next motions would trap have to move first."""
+        """Add the runs that the next motions of this run would trap."""
         for index in sorted(steps):
             found = examine(self.state, run, index, self.now)
             if isinstance(found, Wait):
@@ -166,8 +166,8 @@ def _carries_from(state: LabState, run: RunState, place: StationName) -> bool:
 
 
 class _Clearing:
-    """A step of a run whose way is cleared: a store in which nothing stands in the way, but that notes who
-    has to move first."""
+    """A store for one step of a run (see ``core.algebra``). Its checks report no obstacle, but they add the
+    runs that have to move first."""
 
     def __init__(self, search: _Search, run: RunState, step: PlanStep) -> None:
         self.search, self.run, self.step = search, run, step
@@ -176,10 +176,10 @@ class _Clearing:
         self.search.add_occupants(stack, self.run)
 
     def check_presence(self, what: Carrying, place: StationName) -> None:
-        """Of others' labware on a hotel or a nest it is not known whether it is in the way."""
+        """No run is added: whether others' labware on a hotel or a nest is in the way is not known."""
 
     def check_fits(self, what: Carrying) -> None:
-        """What keeps a run from its end by its labware makes it stuck."""
+        """No run is added: a run whose labware does not fit is blocked, whichever runs move."""
 
     def check_hand(self, what: Carrying) -> None:
         self.search.add_occupants(name_hand(self.step.module), self.run)
@@ -194,13 +194,13 @@ class _Clearing:
             self.search.add_occupants(place, self.run)
 
     def check_labware(self, needs: Needs) -> None:
-        """Nobody knows who might bring it."""
+        """No run is added: which run brings the labware is not known."""
 
     def check_value(self, requires: Requires) -> None:
-        """Nobody knows who might change it."""
+        """No run is added: which run changes the value is not known."""
 
     def check_setpoint(self, claims: Claims) -> None:
         self.search.add_setpoint_holders(self.step.module, claims, self.run)
 
     def check_amount(self, consumes: Consumes) -> None:
-        """A person has to fill it up."""
+        """No run is added: a person has to fill it up."""

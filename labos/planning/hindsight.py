@@ -1,16 +1,17 @@
-"""How far off forecasts were, learned from runs that have ended; and what that says of a new one.
+"""How wrong forecasts were, learned from runs that have ended; and what this says about a new forecast.
 
-For each run that somebody submits, the lab as it was is carried on with the usual durations, as a forecast
-would have done. When the run has ended it is known by how much it was late or early, as part of the time
-that was foreseen: others came meanwhile, a person let the lab wait, steps took longer. A new forecast
-is as far off as those that were most like it, in how long was foreseen and in how others had come before.
+For each submitted run outside of campaigns, the lab is simulated from its state at that time, with the usual
+durations, as in a forecast. When the run has ended, its error is known, as a part of the predicted time.
+Causes of errors are other runs that came meanwhile, a person who let the lab wait, and slower steps. A new
+forecast is taken to be as wrong as the past ones that were most like it. These are alike in the predicted
+time, in the age of the run, and in the pauses between submissions before.
 
-Its range is the narrowest one that holds the part of these that it should, and a little more or less of them
-than that: each run that ends outside of its expected range widens the ranges to come, each one inside narrows
-them. So in the long run they hold what they should, whatever habits change (adaptive conformal inference,
-Gibbs and Candès, 2021).
+Its range is the narrowest one that holds a given part of these errors. This part is adapted: each run that
+ends outside its expected range widens later ranges, and each run that ends inside narrows them. So in the
+long run the ranges hold the target part, whatever habits change (adaptive conformal inference, Gibbs and
+Candès, 2021).
 
-All of it follows from the log alone: the same log gives the same ranges.
+All of this follows from the log alone: the same log gives the same ranges.
 """
 
 from __future__ import annotations
@@ -29,59 +30,63 @@ from labos.planning.forecast import find_usual_time
 from labos.planning.virtual import Play, VirtualLab, keep_first
 
 TARGET = 0.8
-"""The part of all times that ranges are to hold."""
+"""The part of all times that ranges should hold."""
 
 RATE = 0.02
-"""By how much a miss lets the ranges to come hold more; a hit lets them hold less by a fraction of it."""
+"""The speed of adaptation. A miss raises the part that later ranges hold by this times the target. A hit
+lowers it by this times the rest (1 - target)."""
 
 MOST_LEVEL, MOST_BELOW = 0.98, 0.3
-"""The part that ranges hold is never more than the first, and never less than the target by the second."""
+"""The part that ranges hold is at most ``MOST_LEVEL``, and at least the target minus ``MOST_BELOW``."""
 
 KEPT = 200
-"""The last runs that have ended and are kept: so many forecasts of new ones, and so many of others."""
+"""The most past forecasts of ended runs that are kept: this number made at the submission of the run, and
+this number made later."""
 
 OPEN = 300
-"""The runs that have not, and are kept."""
+"""The most runs that have not ended and have forecasts. At this number, no new forecasts are made."""
 
 ALIKE = 25
-"""So many runs that are most like the one in question are looked at."""
+"""The most past forecasts that are used for a new one: those that are most like it."""
 
 ENOUGH = 10
-"""With fewer of them, what is assumed of an unknown lab counts too."""
+"""With fewer past forecasts than this, the assumed errors of an unknown lab count too."""
 
 ASSUMED = (-0.05, -0.03, -0.01, 0.0, 0.0, 0.0, 0.04, 0.08, 0.2, 0.5)
 ASSUMED_ALONE = (-0.06, -0.04, -0.02, -0.01, 0.0, 0.0, 0.01, 0.02, 0.04, 0.06)
-"""By which parts of the time that was foreseen a forecast is assumed to be off: as others come, and if nobody
-does."""
+"""The assumed errors of forecasts, as parts of the predicted time: in the usual case (``ASSUMED``), and if no
+further run is submitted."""
 
 NEW_NS = 60 * 10**9
-"""For so long after its submission a run counts as new."""
+"""How long after its submission a run counts as new (ns)."""
 
 AGAIN, AGAIN_OF_ONE = 10, 4
-"""When a run is submitted, it is also kept what is foreseen for so many others, those that end next; of each
-of them so many times."""
+"""When a run is submitted, forecasts of other runs are kept too: of at most ``AGAIN`` runs, those that end
+next. At most ``AGAIN_OF_ONE`` are kept for each of these runs."""
 
 PAUSES = 3
-"""So many pauses between submissions are compared: who comes in fours comes so again."""
+"""The most pauses between submissions that are compared: enough to recognise groups of four runs."""
 
 FLOOR_NS = 60 * 10**9
-"""What is foreseen for the next minute is as far off as what is foreseen for a minute."""
+"""The shortest predicted time to which an error is related (ns): a prediction for the next minute is as wrong
+as one for a minute."""
 
 WEIGHT_OF_PAUSES = 0.3
-"""How much the last pause counts beside the time that is foreseen (both as logarithms)."""
+"""The weight of the last pause beside the predicted time (both as logarithms). Earlier pauses have smaller
+weights."""
 
 WEIGHT_OF_AGE = 0.3
-"""How much the age of a run counts beside the time that is foreseen (both as logarithms)."""
+"""The weight of the age of a run beside the predicted time (both as logarithms)."""
 
 LOOKED_AT, MOST_STEPS = 60, 1_500
-"""Runs that wait, and steps, up to which a lab of the past is carried on."""
+"""The most waiting runs, and the most steps, with which a lab of the past is simulated."""
 
 Row = tuple[int, str, int, int, bytes]
 """(position, type, schema, recorded_at, payload) of a record of the log."""
 
 
 class TimeRange(msgspec.Struct, frozen=True):
-    """When something is expected, and between which times it lies in four of five cases (UTC ns)."""
+    """When something is expected, and the range in which it lies in four of five cases (UTC ns)."""
 
     earliest_at: int
     expected_at: int
@@ -89,16 +94,17 @@ class TimeRange(msgspec.Struct, frozen=True):
 
 
 class ExpectedTimes(msgspec.Struct, frozen=True):
-    """A time as things usually go, and if nobody submits anything more."""
+    """A time in the usual case, and if no further run is submitted."""
 
     usual: TimeRange
     alone: TimeRange
 
 
 class PastForecast(msgspec.Struct):
-    """A past forecast of a run, made ``age`` ns after its submission: the times that were foreseen, the
-    ranges that were shown, and when it started and ended (UTC ns; 0: not yet). ``pauses`` are the last ones
-    between submissions until then (ns), ``next_at`` when somebody submitted the next run."""
+    """A past forecast of a run, made ``age`` ns after its submission, ``at`` a time. ``start`` and ``end``
+    are the predicted times; ``told_start`` and ``told_end`` are the ranges that were shown. ``started`` and
+    ``ended`` are the actual times (all UTC ns; 0: not yet). ``pauses`` are the last pauses between
+    submissions until then (ns). ``next_at`` is the time of the next submission (UTC ns; 0: none yet)."""
 
     run: RunId
     at: int
@@ -119,25 +125,26 @@ class PastForecast(msgspec.Struct):
         return self.started if what == "starts" else self.ended
 
     def find_range(self, what: str, kind: str) -> TimeRange:
-        """The range that was shown: `usual`, or `alone` if nobody else submits."""
+        """The range that was shown: `usual`, or `alone` if no further run is submitted."""
         expected = self.told_start if what == "starts" else self.told_end
         return expected.usual if kind == "usual" else expected.alone
 
     def is_alone(self, what: str) -> bool:
-        """Whether nobody submitted anything until it came."""
+        """Whether no further run was submitted before the run started or ended (``what``)."""
         return not self.next_at or self.next_at > self.find_actual(what)
 
     def find_error(self, what: str) -> float:
-        """How much later it came than foreseen, as part of the time that was foreseen."""
+        """How much later than predicted the run started or ended, as a part of the predicted time."""
         return (self.find_actual(what) - self.find_expected(what)) / _scale(
             self.find_expected(what) - self.at
         )
 
 
 class Hindsight(msgspec.Struct):
-    """What was foreseen of runs and what came, up to a ``position`` of the log: of new ones, and of those
-    that were waited for when others were submitted (``again``). ``levels`` are the parts of the most similar
-    ones that ranges hold at present, so that they hold ``target`` of what comes."""
+    """The predicted and the actual times of runs, up to a ``position`` of the log. ``open`` and ``ended`` are
+    the forecasts at the submission of each run. ``open_again`` and ``ended_again`` are later ones, made when
+    other runs were submitted. ``last_at`` is the last submission (UTC ns). ``levels`` are the parts of the
+    most similar errors that ranges hold at present, so that they hold ``target`` of the actual times."""
 
     target: float = TARGET
     position: int = 0
@@ -152,8 +159,8 @@ class Hindsight(msgspec.Struct):
     # -- what is expected --------------------------------------------------------------------
 
     def expect(self, what: str, foreseen: int, now: int, age: int = 0) -> ExpectedTimes:
-        """When that comes which is foreseen for a time (UTC ns), of a run that was submitted ``age`` ns ago;
-        ``what`` is `starts` or `ends`."""
+        """The expected times for a predicted time (``foreseen``, UTC ns) of a run that was submitted ``age``
+        ns ago. ``what`` is `starts` or `ends`. If the predicted time is past, the ranges have no width."""
         if foreseen < now:
             return ExpectedTimes(*[TimeRange(foreseen, foreseen, foreseen)] * 2)
         known = self.ended if age < NEW_NS else self.ended_again
@@ -164,7 +171,8 @@ class Hindsight(msgspec.Struct):
         )
 
     def _list_possible(self, known: list[PastForecast], now: int) -> list[PastForecast]:
-        """The runs after which nobody came for as long as nobody has come now; all, if these are few."""
+        """The forecasts after which no run was submitted for as long as none has been submitted now. All of
+        them, if this leaves fewer than ``ENOUGH``."""
         waited = now - self.last_at if self.last_at else 0
         quiet = [past for past in known if not past.next_at or past.next_at - past.at >= waited]
         return quiet if len(quiet) >= ENOUGH else known
@@ -188,8 +196,9 @@ class Hindsight(msgspec.Struct):
     # -- learning ----------------------------------------------------------------------------
 
     def learn(self, event: Event, at: int, foresee: Callable[[], Play | None]) -> None:
-        """Take in an event, in order; ``at`` is when it was recorded (UTC ns). ``foresee`` carries the lab
-        on as it was after this event; it is asked only if a run was submitted."""
+        """Take in an event; events come in order. ``at`` is when it was recorded (UTC ns). ``foresee``
+        simulates the lab from its state after this event; it is called only if a run was submitted. Runs of
+        campaigns and closing runs are left out."""
         match event:
             case RunSubmitted() if not (event.campaign or event.closing):
                 self._note_submission(event.run, at, foresee)
@@ -234,14 +243,15 @@ class Hindsight(msgspec.Struct):
             self.open[run] = self._foresee(run, at, play)
 
     def _foresee(self, run: RunId, at: int, play: Play, first: PastForecast | None = None) -> PastForecast:
-        """What is foreseen for a run now, and told; ``first`` is what was at its submission."""
+        """The forecast for a run now, with the ranges that are shown. ``first`` is the forecast at its
+        submission, if this is a later one."""
         age, started = (at - first.at, first.started) if first is not None else (0, 0)
         start, end = play.starts[run], play.ends[run]
         ranges = self.expect("starts", start, at, age), self.expect("ends", end, at, age)
         return PastForecast(run, at, tuple(self.pauses), start, end, *ranges, started=started, age=age)
 
     def _adapt_ranges(self, past: PastForecast, what: str) -> None:
-        """Widen or narrow the ranges to come."""
+        """Widen later ranges if the actual time was outside the range of this forecast, else narrow them."""
         came = past.find_actual(what)
         for kind in ("usual", "alone"):
             if kind == "alone" and not past.is_alone(what):
@@ -253,7 +263,8 @@ class Hindsight(msgspec.Struct):
 
 
 class _RangeRequest(msgspec.Struct, frozen=True):
-    """What a range is asked for."""
+    """The prediction for which a range is asked: of the start or the end (``what``), for a time, made ``now``
+    (both UTC ns), of a run of this ``age`` (ns)."""
 
     what: str
     foreseen: int
@@ -261,12 +272,13 @@ class _RangeRequest(msgspec.Struct, frozen=True):
     age: int
 
     def find_nearest(self, known: Sequence[PastForecast], pauses: Sequence[int]) -> list[PastForecast]:
-        """The forecasts of the past that are most like this one. Starts are judged of runs that had not."""
+        """The past forecasts that are most like this one, the nearest first. For a start, only those count
+        that were made before the start."""
         waited = [past for past in known if self.what == "ends" or past.start >= past.at]
         return sorted(waited, key=lambda past: self._differ(past, pauses))[:ALIKE]
 
     def _differ(self, past: PastForecast, pauses: Sequence[int]) -> float:
-        """How unlike this one a forecast of the past was."""
+        """How different a past forecast is from this one; 0 if it is the same."""
         foreseen, long = past.find_expected(self.what) - past.at, self.foreseen - self.now
         differs = abs(math.log(_scale(foreseen) / _scale(long)))
         differs += WEIGHT_OF_AGE * abs(math.log(_scale(past.age) / _scale(self.age)))
@@ -285,7 +297,8 @@ def _scale(foreseen_ns: int) -> int:
 
 
 def _find_narrowest_range(ordered: Sequence[float], level: float) -> tuple[float, float]:
-    """The narrowest range that holds such a part of all that could be, of which these are a few."""
+    """The narrowest range that holds the part ``level`` of all possible values, of which the ordered ones are
+    a sample."""
     count = min(len(ordered), max(1, math.ceil(level * (len(ordered) + 1))))
     first = min(range(len(ordered) - count + 1), key=lambda i: ordered[i + count - 1] - ordered[i])
     return ordered[first], ordered[first + count - 1]
@@ -300,8 +313,8 @@ def _find_median(ordered: Sequence[float]) -> float:
 
 
 class LookBack(msgspec.Struct):
-    """What was learned up to a position of the log, and a picture of the state there (empty: the log's
-    beginning)."""
+    """What was learned up to a position of the log, and the encoded state there (empty: the beginning of the
+    log)."""
 
     hindsight: Hindsight = msgspec.field(default_factory=Hindsight)
     picture: bytes = b""
@@ -314,8 +327,8 @@ def look_back(
     *,
     searches: bool = False,
 ) -> LookBack:
-    """Learn from the records that follow; once it ``is_late``, from no more of them. ``searches``: the lab
-    looks for orders of its own."""
+    """Learn from the records that follow. After a submission, stop if ``is_late`` says so. ``searches``: the
+    lab searches for its own orders."""
     state = from_picture(known.picture) if known.picture else LabState()
     hindsight = known.hindsight
     for position, kind, schema, at, payload in rows:
@@ -329,7 +342,8 @@ def look_back(
 
 
 def foresee(state: LabState, now: int, *, searches: bool = False) -> Play | None:
-    """How a lab would go on from now with the usual durations; None if it has too much to do to tell."""
+    """How a lab would continue from now with the usual durations. None if the simulation needs too many
+    steps."""
     copy = from_picture(encode_picture(state))
     keep_first(copy, LOOKED_AT)
     play = VirtualLab(

@@ -1,11 +1,11 @@
-"""Which starts leave a way to keep every window whose clock runs, if all steps take their nominal time.
+"""Which starts still allow every window with a running clock to be kept, if all steps take their usual time.
 
-For each workcell there is a plan that keeps the windows that can be kept: the way in which it goes on from
-now in a rehearsal (``rehearsal``), with the advice that was found to be needed. What the plan has start
-now may start. Any other start is tried out: it may go ahead if the rehearsal that begins with it makes
-nobody late who is not late anyway, with other advice if need be; the search for advice is bounded. A
-step that starts a clock is tried out together with all that has to follow in time. It waits if it would
-be in time later, and goes ahead if no plan is found that keeps its windows: nobody waits for ever.
+Each workcell has a plan that keeps the windows that can be kept. The plan is a rehearsal (``rehearsal``): the
+workcell simulated from now on, with the advice that it needs. Steps that start now in the plan may start. Any
+other start is tried: it is allowed if a rehearsal that begins with it makes no further step late. If
+necessary, other advice is tried; this search is limited. A step that starts a clock is tried together with
+all steps that have to follow in time. It waits if a later start would keep its windows. If no plan keeps
+them, it starts once nothing else happens: no run waits without end.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from labos.planning.suggested import bring_forward, find_order, find_suggested_o
 from labos.planning.touch import cell_key, window_key
 
 SEARCH_LIMIT = 24
-"""Rehearsals before the search for a plan is given up."""
+"""The most rehearsals in one search for a plan."""
 
 CALM_S = 1.0
-"""How long (lab seconds) nothing has to have happened before a step is started that cannot be followed in
-time because of what stands in its way."""
+"""How long (lab seconds) nothing must have happened before a step starts although its following steps would
+be too late, because something is in their way."""
 
 PUNCTUAL_S = 5.0
-"""So much later (lab seconds) than was suggested a step may start, and all goes as planned."""
+"""The most delay (lab seconds) of a step behind its suggested time with which all still goes as suggested."""
 
 ALONE_LIMIT = 8
-"""The same, for a run that has the workcell to itself."""
+"""The most rehearsals in one search for a run that is alone in the workcell."""
 
 
 class CellOutlook:
-    """How a workcell goes on from one position of the log and one time: who has to start something in time
-    (``obliged``), what each of them has to wait for, and what comes of it; ``as_suggested`` if that is what a
-    planner suggested. Its scene is set when somebody needs it. Where one run has the workcell to itself,
-    nobody can be trapped, and ``safety`` is not asked."""
+    """How a workcell goes on from one position of the log and one time. ``obliged`` are the runs with steps
+    that have to start in time, ``advice`` says what steps wait for, and ``outcome`` is the result of the
+    rehearsal. ``as_suggested``: the outlook follows an order of a planner or of the lab. The scene is made
+    when it is first used. For a run alone in the workcell, ``safety`` is None: no run can be trapped."""
 
     def __init__(
         self,
@@ -77,18 +77,18 @@ class CellOutlook:
         return self._scene
 
     def with_run_alone(self, run: RunState) -> CellOutlook:
-        """The same, if nobody but a run were there."""
+        """The outlook if this run were alone in the workcell."""
         scene = self.scene.with_run_alone(run)
         return CellOutlook(self.state, None, self.cell, self.now, [], NO_ADVICE, scene)
 
     def follow(self, advice: Advice) -> CellOutlook:
-        """The same, with other advice."""
+        """The same outlook with other advice."""
         return CellOutlook(self.state, self.safety, self.cell, self.now, self.obliged, advice, self.scene)
 
 
 class Trial(msgspec.Struct, frozen=True):
-    """A step of a run that is tried out (no run: nothing is, the plan goes on by itself), and the windowed
-    steps that are late anyway."""
+    """A step of a run whose start is tried. Without a ``run``, no start is tried, and the plan goes on by
+    itself. ``known`` are the windowed steps that are late in any case."""
 
     plan: CellOutlook
     run: RunState | None
@@ -100,20 +100,20 @@ class Trial(msgspec.Struct, frozen=True):
         return str(self.run.id if self.run is not None else ""), self.step
 
     def list_newly_late(self, outcome: RehearsalResult) -> list[Step]:
-        """Who is late beside those, the first one first."""
+        """The late steps that are not ``known``, the earliest due time first."""
         return [who for who in outcome.late if who not in self.known]
 
     def has_fault(self, outcome: RehearsalResult) -> bool:
-        """Whether anybody is late beside those, or a step could not follow in time any more."""
+        """Whether a step is late that is not ``known``, or a step could not follow in time any more."""
         return bool(self.list_newly_late(outcome)) or outcome.tangle is not None
 
 
 Standing = dict[str, tuple[StepStatus, ...]]
-"""How far the runs inside have come."""
+"""How far the runs inside have come: the status of each step, by run."""
 
 
 class Windows:
-    """Judges starts in one state after the other. ``plays`` counts rehearsals."""
+    """Checks starts in one state after the other. ``plays`` counts rehearsals."""
 
     def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.plays = 0
@@ -130,27 +130,28 @@ class Windows:
         self._punctual = PunctualOrders(self._own)
 
     def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
-        """When the plan that keeps the windows has the step start (UTC ns); FAR if it does not."""
+        """The time at which the step starts in the plan that keeps the windows (UTC ns); FAR if it does not
+        start there."""
         cell = state.runs.plan_of(run).workcell
         if not state.runs.windowed_in.get(cell) and not self._punctual.find_starts(state, cell, now):
             return FAR
         plan, who = self._plan(state, cell, now, safety), (str(run.id), step)
         found = plan.outcome.starts.get(who, FAR)
         if found == FAR and plan.as_suggested:
-            suggested = plan.advice.not_before.get(who, FAR)  # it is let in later
+            suggested = plan.advice.not_before.get(who, FAR)  # the run is admitted later
             return suggested if suggested > now else FAR
         if found <= now or run.has_started:
             return found
         return now if self._is_as_suggested(self._make_trial(plan, run, step)) else found
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
-        """What a start has to wait for so that windows can be kept; None if it may go ahead."""
+        """What a start has to wait for so that windows can be kept; None if the step may start."""
         what = state.runs.plans[run.plan]
         follow = find_chained(run, what.plan, [step]) if what.windowed else ()
         if not what.windowed and not state.runs.windowed_in.get(what.plan.workcell):
             return None
         if what.plan.steps[step].recovers:
-            return None  # no run that needs the module can go on before
+            return None  # no run that needs the module can continue before this step
         plan = self._plan(state, what.plan.workcell, now, safety)
         trial = self._make_trial(plan, run, step)
         waits = self._hold_off(trial)
@@ -166,7 +167,7 @@ class Windows:
         at_first = trial.list_newly_late(found)
         behind = at_first[:1] or ([found.tangle] if found.tangle is not None else [])
         if behind and plan.as_suggested and plan.scene.flying:
-            # Somebody has planned all of it, and it goes as planned: nothing better is looked for.
+            # All runs follow an order, and all goes as suggested: no better advice is searched for.
             return self._wait(trial, behind[0])
         if behind:
             advice, found = self._search(trial, forced=True)
@@ -176,7 +177,7 @@ class Windows:
         if others:
             running = {str(other.id) for other in plan.obliged}
             at_stake = any(other[0] in running for other in others)
-            # Whose clock does not run yet is only foreseen to be late: it is not waited for without end.
+            # A run without a running clock is only expected to be late: the wait for it is limited.
             named, again = others[0], FAR if at_stake else self._find_rest_time(trial)
         elif late:
             named = next(other for other in (*at_first, *late) if other[0] == who[0])
@@ -193,11 +194,12 @@ class Windows:
         return Trial(plan, run, step, set(plan.outcome.late) | self._hopeless)
 
     def follows_order(self, state: LabState, cell: str, now: int, safety: Safety) -> bool:
-        """Whether all goes as an order has it that keeps all windows."""
+        """Whether everything goes as in an order that keeps all windows."""
         return self._plan(state, cell, now, safety).as_suggested
 
     def _is_as_suggested(self, trial: Trial) -> bool:
-        """Whether a run is to be let in now by the suggested order, and all windows are kept with it."""
+        """Whether the suggested order admits a run now, and a rehearsal of this start makes no further step
+        late."""
         plan, who = trial.plan, trial.who
         suggested = self._find_suggested_advice(plan.state, plan.cell, plan.now)
         if suggested is None or not _is_on_time(plan.state, suggested, plan.now):
@@ -213,9 +215,9 @@ class Windows:
         return True
 
     def _find_suggested_advice(self, state: LabState, cell: str, now: int) -> Advice | None:
-        """To do as somebody has suggested: everybody inside goes on, each step at its time; with a planner's
-        order those come in, too, whose time it is. Like any other advice it counts only if a rehearsal shows
-        that it keeps the windows."""
+        """The advice to follow the suggested order; None if no order is valid. Every run inside goes on, each
+        step at its suggested time. With a planner's order, runs whose time has come are admitted too. Like
+        other advice, it counts only if a rehearsal shows that it keeps the windows."""
         times = find_suggested_times(state, find_order(state, self._own, cell, now), now)
         if not times:
             return None
@@ -230,8 +232,8 @@ class Windows:
         )
 
     def _find_better_time(self, trial: Trial) -> int:
-        """When a step had better start that would be followed too late if it started now; ``now`` if there is
-        no use in waiting."""
+        """The time at which a step should start (UTC ns) that would be followed too late if it started now.
+        If no later start is better, it is the time of ``_find_rest_time``."""
         run, state, now, who = trial.run, trial.plan.state, trial.plan.now, trial.who
         assert run is not None
         _, later = self._search(trial)
@@ -240,7 +242,7 @@ class Windows:
         others = state.runs.list_inside(trial.plan.cell)
         here = _describe_standing(others)
         if found:
-            # What was to go first may not be started by safety: it is put off once, not again and again.
+            # Deadlock avoidance may stop the step that should go first. So delay only once for each change.
             put_off = self._put_off.get(who)
             if put_off is None or put_off[0] != here:
                 self._put_off[who] = here, at
@@ -248,14 +250,15 @@ class Windows:
                 found = False
         inside = {str(other.id) for other in others} - {who[0]}
         if not found or (inside and not inside & self._met.setdefault(who, inside)):
-            # Nobody is left of those whom it met: it has waited long enough for who came later.
+            # No better time, or all runs that were inside at first are gone: later ones wait outside for it.
             plan = state.runs.plan_of(run)
             self._anxious[who] = frozenset(plan.steps[i].module for i in find_chained(run, plan, [who[1]]))
         return at if found else self._find_rest_time(trial)
 
     def _find_rest_time(self, trial: Trial) -> int:
-        """When nothing will have happened for long enough; FAR as long as something goes on whose end is an
-        event. What nobody knows the end of does not go on."""
+        """The time at which nothing will have happened for ``CALM_S`` (UTC ns). If windows let a step of a
+        run inside start only later, it is the latest of these times. FAR while an action is under way whose
+        end is an event; actions without a known end do not count."""
         plan, who = trial.plan, trial.who
         inside = plan.state.runs.list_inside(plan.cell)
         if any(end < FAR for end, *_ in plan.scene.flying):
@@ -273,8 +276,8 @@ class Windows:
         return max(plan.now, since + convert_lab_s(plan.state, CALM_S))
 
     def _find_tangle(self, trial: Trial) -> Wait | None:
-        """A start waits after which some step could not follow in time any more, whoever goes first: it
-        is started all the same when nothing else goes on."""
+        """What a start waits for after which a step could not follow in time, whichever run goes first; None
+        if it may start. It starts in any case once nothing else goes on."""
         run, plan = trial.run, trial.plan
         assert run is not None
         assert plan.safety is not None
@@ -287,7 +290,8 @@ class Windows:
         return self._wait(trial, late, again) if again > plan.now else None
 
     def _hold_off(self, trial: Trial) -> Wait | None:
-        """Nobody is let in who needs the modules of a run inside, or of an older one, that waits for calm."""
+        """The wait of a run outside that needs a module of a run which waits until nothing happens and could
+        start by the rules. That run is inside, or outside and older. None if there is no such run."""
         run, state, now = trial.run, trial.plan.state, trial.plan.now
         if run is None or run.has_started or not self._anxious:
             return None
@@ -299,18 +303,18 @@ class Windows:
             if not other.has_started and other.position > run.position:
                 continue
             if not isinstance(examine(state, other, index, now), Wait):
-                # The other one may find a better time, which is no event: looked at again soon.
+                # The other run may find a better time, and no event marks that: check again soon.
                 return self._wait(trial, (name, index), now + convert_lab_s(state, CALM_S))
         return None
 
     def _list_late_alone(self, trial: Trial) -> list[Step]:
-        """Which windows of a run could not be kept if it had the workcell to itself from now on."""
+        """The steps of a run that would be late even if it were alone in the workcell from now on."""
         assert trial.run is not None
         alone = Trial(trial.plan.with_run_alone(trial.run), trial.run, trial.step, set())
         return list(self._search(alone, limit=ALONE_LIMIT)[1].late)
 
     def remember(self, other: Windows) -> None:
-        """Take over what another one has in mind beside the state."""
+        """Take over what another one remembers besides the state."""
         self._advice, self._hopeless = dict(other._advice), set(other._hopeless)
         self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
         self._anxious, self._met = dict(other._anxious), dict(other._met)
@@ -350,7 +354,7 @@ class Windows:
         if obliged:
             trial = self._make_trial(plan, None, 0)
             if suggested is not None and _is_on_time(state, suggested, now):
-                # What somebody has planned for all of them comes first, if it keeps all windows.
+                # An order for all these runs is tried first, and kept if it keeps all windows.
                 plan.advice = suggested
                 _, plan.outcome = self._search(trial, limit=1)
                 if not trial.has_fault(plan.outcome):
@@ -365,7 +369,7 @@ class Windows:
     def _search(
         self, trial: Trial, *, forced: bool = False, limit: int = SEARCH_LIMIT
     ) -> tuple[Advice, RehearsalResult]:
-        """The best advice found and what comes of it; ``forced``: the step that is tried starts now."""
+        """The best advice that was found, and its result. ``forced``: the step of the trial starts now."""
         plan = trial.plan
         start = trial.who if trial.run is not None and forced else None
         tried: list[tuple[tuple[int, int], int, Advice, RehearsalResult]] = []
@@ -401,7 +405,8 @@ class Windows:
     # -- explaining ----------------------------------------------------------------------------
 
     def _wait(self, trial: Trial, late: Step, again: int = FAR) -> Wait:
-        """A start waits since somebody would be late, at least until something may be otherwise."""
+        """The wait of a start after which the step ``late`` would be late. It ends when something may have
+        changed: at ``again``, or at the next planned start or end (UTC ns)."""
         run, plan, state = trial.run, trial.plan, trial.plan.state
         whose = state.runs.get(late[0])
         assert run is not None
@@ -425,7 +430,7 @@ def _describe_standing(inside: Iterable[RunState]) -> Standing:
 
 
 def _find_next_start(state: LabState, run: RunState) -> int:
-    """When the windows of a run let its next step start, at the latest of them (UTC ns)."""
+    """The time from which the windows of a run let all its pending steps start (UTC ns; 0: at any time)."""
     return max(
         (
             find_earliest_start(state, run, i, {})
@@ -437,13 +442,13 @@ def _find_next_start(state: LabState, run: RunState) -> int:
 
 
 def _is_waiting(state: LabState, who: Step) -> bool:
-    """Whether a step has not been started."""
+    """Whether a step has not started, and its run has not ended."""
     run = state.runs.get(who[0])
     return run is not None and is_pending(run, who[1])
 
 
 def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
-    """The runs of a workcell with steps that have to be started in time, and can be."""
+    """The runs of a workcell with steps that have to start in time and that can be started."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.get(name)
         if run is None or find_holds(run) or run.is_ending or run.has(UNKNOWN):
@@ -457,7 +462,8 @@ def _find_obliged(state: LabState, cell: str) -> Iterator[RunState]:
 
 
 def _is_shut_out(state: LabState, run: RunState, now: int, safety: Safety) -> bool:
-    """Whether a run that waits to be let in could not come to its end, whichever runs move."""
+    """Whether a waiting run could not reach its own end after any first step that the rules allow, whichever
+    runs move."""
     if run.has_started:
         return False
     starts = [
@@ -480,7 +486,8 @@ def _make_players(trial: Trial, advice: Advice) -> Iterable[Player]:
 
 
 def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
-    """See whether planning would let these starts happen; who cannot start never does."""
+    """Check whether planning would allow these starts, and note a trap or a tangle. After a trap, one
+    windowed step counts as never started: of the run of that start, if it has one."""
     if plan.safety is None:
         return
     starts = list(outcome.starts)
@@ -496,6 +503,6 @@ def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
 
 
 def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:
-    """Whether everything has started that should have by now. What was planned to the second counts for less
-    where it does not go as planned: then reservations keep their margin."""
+    """Whether every step has started that should have by now. If not, an order with exact times counts for
+    less, and reservations keep their margin."""
     return all(at >= now - convert_lab_s(state, PUNCTUAL_S) for at in suggested.not_before.values())

@@ -1,8 +1,8 @@
-"""What is to be expected of a lab: when its runs start and end, when a person is needed, and what something
-that is not submitted yet would change.
+"""The forecast of a lab: when its runs start and end, when a person is needed, and what a new submission
+changes.
 
-A copy of the state is carried on (``virtual``), with the usual durations. Ranges are as wide as forecasts of
-the past were off (``hindsight``).
+A copy of the state is simulated in virtual time (``virtual``), with the usual durations. The ranges are as
+wide as the errors of past forecasts (``hindsight``).
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from labos.planning.own_order import OwnOrder
 from labos.planning.virtual import MOST_RUNS, MOST_STEPS, Play, VirtualLab, keep_first
 
 LATER_S = 1.0
-"""Seconds of wall time by which a run has to be later for that to be told."""
+"""The smallest delay of a run that is reported (seconds of wall time)."""
 
 
 class ExpectedRun(msgspec.Struct, frozen=True):
-    """What is expected of a run. ``starts`` is when it started if it has; null: not in sight.
-    ``starts_alone`` and ``ends_alone`` are what is expected if nobody submits anything more. ``waits`` is why
-    it does not come to its end without a person; ``modules`` those that it is expected to choose, by the
-    steps' keys. It should be over when it is ``due_at`` (UTC ns, 0: no such time); ``late_by_s`` is by how
-    much it is expected to be late, in seconds of wall time: negative if it has time to spare; null if it is
-    not due, or its end is not in sight."""
+    """What is expected of a run. ``starts`` and ``ends`` are null if they are not in sight; if the run has
+    started, ``starts`` is that time. ``starts_alone`` and ``ends_alone`` are expected if nothing more is
+    submitted. ``waits``: why it fails, or does not end without a person. ``modules``: those that it is
+    expected to choose, by step key. ``due_at`` is its due date (UTC ns, 0: none). ``late_by_s`` is its
+    expected delay (seconds of wall time): negative if it has time to spare; null if it has no due date, or
+    its end is not in sight."""
 
     run: str
     workflow: str
@@ -54,8 +54,8 @@ class ExpectedRun(msgspec.Struct, frozen=True):
 
 
 class ExpectedCampaign(msgspec.Struct, frozen=True):
-    """What is expected of a campaign. The first ``rows_forecast`` of the rows that are left were carried on;
-    if that is less than all, ``ends`` goes on at their rate."""
+    """What is expected of a campaign. The first ``rows_forecast`` of the rows that are left were simulated.
+    If these are not all, ``ends`` assumes the same rate for the others."""
 
     campaign: str
     name: str
@@ -67,8 +67,8 @@ class ExpectedCampaign(msgspec.Struct, frozen=True):
 
 
 class ExpectedTouch(msgspec.Struct, frozen=True):
-    """When a person is needed next, for what, and what is to be done about it. ``planned``: a workflow asks
-    for it."""
+    """When a person is needed, why, and what is to be done (``remedy``). ``planned``: a workflow asks for
+    it."""
 
     at: TimeRange
     why: str
@@ -78,8 +78,8 @@ class ExpectedTouch(msgspec.Struct, frozen=True):
 
 
 class Delay(msgspec.Struct, frozen=True):
-    """A run of somebody that would end later, in seconds of wall time; null: it would not end without a
-    person."""
+    """A run that would end later because of the new submission, by ``by_s`` seconds of wall time; null: it
+    would not end without a person."""
 
     run: str
     user: str
@@ -88,10 +88,11 @@ class Delay(msgspec.Struct, frozen=True):
 
 
 class LabForecast(msgspec.Struct, frozen=True):
-    """What is expected of a lab from ``now_at`` on. Ranges are as wide as the forecasts of ``learned_from``
-    runs that have ended were off; of fewer than ten that is partly assumed. ``left_out`` runs that wait were
-    not looked at. ``new`` are the runs of what is not submitted yet; ``delays`` and ``conflicts`` are what
-    it would bring."""
+    """What is expected of a lab from ``now_at`` on (UTC ns). Ranges are as wide as the errors of the
+    forecasts of ``learned_from`` ended runs; with fewer than ten, assumed errors count too. ``left_out``
+    waiting runs were not simulated. ``cut``: the simulation was stopped early. ``new`` are the runs of the
+    new submission; ``delays`` and ``conflicts`` are its consequences; ``refusal`` is why it would be
+    refused."""
 
     now_at: int
     learned_from: int
@@ -107,11 +108,11 @@ class LabForecast(msgspec.Struct, frozen=True):
 
 
 class ForecastRequest(msgspec.Struct):
-    """What is asked: of a state as a picture, at a time. ``new`` is what somebody thinks of submitting, and
-    ``new_rows`` the plans of its rows, between which they choose, if it is a campaign. ``rows`` are those of
-    campaigns that are known. ``hindsight`` tells how far off forecasts were. In place of what is new, a
-    submission that waits for an approval (``approved``) is let go on. ``orders`` are those that the lab has
-    found by itself; None if it follows the order by age."""
+    """What is asked: a state as a picture, and a time (UTC ns). ``new`` is a possible submission. If it is a
+    campaign, ``new_rows`` has the plans of each row, from which its run chooses one. ``rows`` are those of
+    known campaigns. ``hindsight`` has the errors of past forecasts. ``approved`` is used in place of ``new``:
+    a submission that waits for an approval and goes on in the simulation. ``orders`` are those that the lab
+    has found by itself; None if it follows the order by age."""
 
     picture: bytes
     now: int
@@ -127,7 +128,7 @@ class ForecastRequest(msgspec.Struct):
 
 
 def forecast_lab(request: ForecastRequest) -> LabForecast:
-    """Carry the lab on, with and without what is new."""
+    """The forecast for a request. With a new submission, the lab is simulated with and without it."""
     base = from_picture(request.picture)
     left_out = keep_first(base, request.most_runs)
     base.recorded_at = max(base.recorded_at, request.now)
@@ -159,7 +160,7 @@ def forecast_lab(request: ForecastRequest) -> LabForecast:
 
 
 class _Forecaster:
-    """Carries copies of a state on. ``new`` is the run or campaign that is not submitted yet."""
+    """Simulates copies of a state. ``new`` is the run or campaign that is not submitted or approved yet."""
 
     def __init__(self, request: ForecastRequest, base: bytes) -> None:
         self.request, self.base = request, base
@@ -170,7 +171,7 @@ class _Forecaster:
         self.new, self.refusal = "", ""
 
     def play(self, *, without: bool = False) -> Play:
-        """How it goes on with the usual durations, with what is new or without it."""
+        """The simulation with the usual durations, with the new submission or without it."""
         asked = self.request
         state = from_picture(self.base)
         rows: dict[CampaignId, Sequence[tuple[Plan, ...]]] = dict(asked.rows)
@@ -202,8 +203,8 @@ class _Forecaster:
     def expect(
         self, what: str, foreseen: int | None, age: int = 0
     ) -> tuple[TimeRange | None, TimeRange | None]:
-        """When that comes which is foreseen for a time (UTC ns; None: not in sight), for a run that was
-        submitted ``age`` ns ago: as things usually go, and if nobody else submits."""
+        """The ranges around a foreseen time (UTC ns; None: not in sight) of a run that was submitted ``age``
+        ns ago: the usual one, and the one if nothing more is submitted. ``what`` is `starts` or `ends`."""
         if foreseen is None:
             return None, None
         ranges = self.request.hindsight.expect(what, foreseen, self.request.now, age)
@@ -275,7 +276,8 @@ def _list_campaigns(forecaster: _Forecaster, play: Play) -> list[ExpectedCampaig
 
 
 def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
-    """When so many rows more would have ended, at the rate of the later half of those that were seen."""
+    """When ``rest`` more rows would have ended (UTC ns), at the rate of the later half of the simulated
+    ones."""
     ordered = sorted(ends)
     half = len(ordered) // 2
     if rest and half:
@@ -284,7 +286,7 @@ def _extrapolate(starts: Sequence[int], ends: Sequence[int], rest: int) -> int:
 
 
 def _list_touches(forecaster: _Forecaster, play: Play) -> list[ExpectedTouch]:
-    """When a person is needed, in order."""
+    """The times when a person is needed, in order."""
     found: list[ExpectedTouch] = []
     request = forecaster.request
     for touch in play.touches:
@@ -309,13 +311,13 @@ def _list_delays(before: Play, after: Play) -> Iterator[Delay]:
 
 
 def _list_sure_to_use(plans: Sequence[Plan]) -> list[ModuleName]:
-    """The modules that a run uses whichever of these plans it follows."""
+    """The modules that a run uses with each of these plans."""
     first, *others = ({step.module: True for step in plan.steps} for plan in plans)
     return [module for module in first if all(module in other for other in others)]
 
 
 def _list_conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Iterator[str]:
-    """What stands in the way of something that is not submitted yet, as sentences."""
+    """The conflicts of a submission that is not made or approved yet, as sentences."""
     request = forecaster.request
     user, deadline, rows = _describe_request(request, state)
     modules = {module: True for plans in rows for module in _list_sure_to_use(plans)}
@@ -337,7 +339,7 @@ def _list_conflicts(forecaster: _Forecaster, state: LabState, play: Play) -> Ite
 
 
 def _describe_request(request: ForecastRequest, state: LabState) -> tuple[str, int, Sequence[Sequence[Plan]]]:
-    """Whose it is that may begin, its deadline (0: none), and the plans of its runs."""
+    """The user of the new submission, its deadline (UTC ns, 0: none), and the plans of its runs."""
     command = request.new
     if isinstance(command, SubmitCampaign):
         return command.user, command.terms.deadline, request.new_rows

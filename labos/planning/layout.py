@@ -1,6 +1,6 @@
-"""The floor of a workcell as the state has it.
+"""Makes the floor of a workcell from the state.
 
-Everything in flight counts as arrived.
+Labware in flight counts as arrived.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ from labos.planning.paths import Motion, is_joint
 
 
 def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> bool:
-    """Whether a module needs a person or its device to come back before anybody can use it; to
-    be ``recovered`` first, an error is no hindrance."""
+    """Whether a module can be used only after a person has acted or its device is back. If it is to be
+    ``recovered`` first, an error does not count."""
     known = state.modules.by_name.get(module)
     return known is None or module in state.lab.paused or check_module(known, recovers=recovered) is not None
 
 
 def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
-    """Where the owners' labware will stand once what is in flight has ended, and whether some of
-    it is lost."""
+    """The places of the owners' labware after all actions in flight have ended, with the number of pieces;
+    and whether the place of a piece is unknown."""
     places: dict[StationName, int] = {}
     lost = False
     for owner in owners:
@@ -64,8 +64,8 @@ def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[Statio
 
 
 def find_destination(bench: Bench, item: Labware) -> StationName:
-    """Where labware will stand when the action that carries it has ended, as plans name it; empty if
-    nowhere."""
+    """The place of labware after the action that carries it has ended, with the name that plans use. Empty
+    if the place is unknown or a waste, or for a lid on a plate."""
     place = item.station
     for what in list_carried(bench.reserved.get(ActionId(item.moving), ())) if item.moving else ():
         if what.labware == item.id:
@@ -78,7 +78,7 @@ def find_destination(bench: Bench, item: Labware) -> StationName:
 
 
 def find_arriving(state: LabState, run: RunId) -> list[StationName]:
-    """Stations at which labware will appear that a run is taking off a stack right now."""
+    """The stations at which labware arrives that a run is taking off a stack now."""
     active = state.runs.active.get(run)
     if active is None or not active.has(IN_FLIGHT, UNKNOWN):
         return []
@@ -92,8 +92,8 @@ def find_arriving(state: LabState, run: RunId) -> list[StationName]:
 
 
 def list_labware_in(state: LabState, cell: str) -> list[Labware]:
-    """Labware that stands in a workcell, that is carried there, and all labware for which it is not known
-    where it is. Lids are with their plates."""
+    """The labware that stands in a workcell or is carried there, and all labware in the lab whose place is
+    unknown. A lid on a plate is listed only if an action moves it."""
     bench = state.bench
     names: dict[LabwareId, bool] = {}
     for place in bench.in_cell.get(cell, ()):
@@ -108,9 +108,9 @@ def list_labware_in(state: LabState, cell: str) -> list[Labware]:
 
 
 def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: bool) -> Floor:
-    """The floor of a workcell once everything in flight has ended. Labware whose place is not
-    known takes up room wherever it may be; hopefully seen, an action of unknown outcome counts
-    as done. All shelves of a hotel are one place here: what can go onto one can go onto any."""
+    """The floor of a workcell after all actions in flight have ended. Labware with an unknown place takes up
+    room at each place where it may be. If ``hopeful``, an action with an unknown outcome counts as done. All
+    shelves of a hotel are one place here: what one shelf accepts, each of them accepts."""
     bench = state.bench
     floor = Floor(held=_find_held(state, cell), values=_list_values(state, cell))
     joint = find_joint(state, cell)
@@ -168,7 +168,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
     for action in state.actions.list_in_cell(cell):
         for effect in action.effects:
             for place in floor.endless.intersection(effect.room).intersection(effect.cleared):
-                floor.count[place] -= 1  # it was counted with what is on its way there
+                floor.count[place] -= 1  # it was counted with the arrivals under way
         for what in list_carried(action.effects):
             if what.stock in floor.stock:
                 target = bench.find_planned_place(what.target)
@@ -184,7 +184,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
 
 
 def find_joint(state: LabState, cell: str) -> dict[ModuleName, Together]:
-    """What modules of a workcell do for several runs at once."""
+    """The modules of a workcell that do actions for several runs at once, with these actions."""
     pairs = ((name, module.spec.together) for name, module in state.modules.list_in_cell(cell))
     return {name: together for name, together in pairs if together is not None}
 
@@ -192,8 +192,8 @@ def find_joint(state: LabState, cell: str) -> dict[ModuleName, Together]:
 def _find_ready(
     state: LabState, cell: str, joint: Mapping[ModuleName, Together]
 ) -> dict[str, dict[str, Any]]:
-    """Which runs wait for nothing but what modules do for several of them at once, and what they want
-    done."""
+    """The runs that are ready for an action that a module does for several runs at once: all steps before it
+    have begun or are over. With the request of each run; None if it depends on results."""
     found: dict[str, dict[str, Any]] = {}
     for run in state.runs.list_inside(cell):
         plan = state.runs.plan_of(run)
@@ -206,18 +206,18 @@ def _find_ready(
 
 
 def let_in(floor: Floor, actor: Actor) -> None:
-    """Its experiment's closing workflow waits for its end."""
+    """Make the closing workflow of an actor's experiment, if there is one, wait for the actor's end."""
     if actor.home:
         floor.put(floor.held.setdefault(actor.home, {}), actor.name, "inside")
 
 
 def _is_pool(owner: Owner) -> bool:
-    """Whether labware of an owner is there for several runs."""
+    """Whether several runs may use the labware of an owner."""
     return split_key(owner)[0] in (SHARED, "user", "experiment")
 
 
 def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> None:
-    """Keep what an actor needs if something that it has in flight fails."""
+    """Keep on the floor what an actor needs if a step in flight fails."""
     for motion in kept:
         if motion.source:
             go_back(floor, actor, motion, -1)
@@ -226,8 +226,8 @@ def keep_after_failure(floor: Floor, actor: Actor, kept: Iterable[Motion]) -> No
 
 
 def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
-    """What runs inside hold by doors, setpoints and their plans' word, once what is in flight has
-    ended."""
+    """What the runs inside hold after all actions in flight have ended: doors, setpoints, and modules that
+    their plans hold."""
     inside = state.runs.in_cell.get(cell, {})
 
     def stays(who: str) -> bool:
@@ -257,7 +257,7 @@ def _find_held(state: LabState, cell: str) -> dict[str, dict[str, Any]]:
 
 
 def _list_values(state: LabState, cell: str) -> dict[str, Any]:
-    """How the variables of modules stand that have no rest, once what is in flight has ended."""
+    """The values of modules' variables that have no rest position, after all actions in flight have ended."""
     values: dict[str, Any] = {}
     for name, module in state.modules.list_in_cell(cell):
         for variable, value in module.values.items():
@@ -272,8 +272,8 @@ def _list_values(state: LabState, cell: str) -> dict[str, Any]:
 
 
 def _is_about_to_end(plan: Plan, run: RunState) -> bool:
-    """Whether a run has nothing left to start, also if what it has in flight fails; its end lets go of all
-    it holds."""
+    """Whether a run has no step left to start, even if a step in flight fails. When it ends, it releases all
+    that it holds."""
     ends = run.status == RunStatus.CANCELLING and not will_leave(plan, run)
     policies = [
         step.on_error for step, at in zip(plan.steps, run.steps, strict=True) if at.status == IN_FLIGHT
@@ -283,6 +283,7 @@ def _is_about_to_end(plan: Plan, run: RunState) -> bool:
 
 
 def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
+    """Whether a run's plan holds a module for it after all actions in flight have ended."""
     return any(
         hold.module == module
         and run.steps[hold.first].status not in (PENDING, SKIPPED)
@@ -292,7 +293,7 @@ def _will_hold(plan: Plan, run: RunState, module: ModuleName) -> bool:
 
 
 def _list_door_holders(module: Module, flying: list[tuple[str, ModuleSettings]]) -> set[str]:
-    """The runs that will have left a door or lid away from rest."""
+    """The runs that leave a door or lid away from its rest position, ``flying`` actions included."""
     if not module.spec.rest:
         return set()
     values = module.values

@@ -1,4 +1,4 @@
-"""What is left of the way out of a cancelled run, as motions."""
+"""The ``on_cancel`` steps that a cancelled run has left, as motions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from labos.planning.paths import CellRules, Motion, RunOnBench, list_motions_of_
 
 
 def find_way_out(state: LabState, run: RunState, rules: CellRules) -> tuple[Motion, ...]:
-    """The motions of the steps that a leaving run has yet to start."""
+    """The motions of the steps that a leaving run has not started, and of its end."""
     plan = state.runs.plan_of(run)
     left = [index for index, step in enumerate(run.steps) if step.status in (PENDING, IN_FLIGHT)]
     before = _list_left(state, run, rules.claims)
@@ -28,6 +28,7 @@ def find_way_out(state: LabState, run: RunState, rules: CellRules) -> tuple[Moti
 
 
 def _list_left(state: LabState, run: RunState, claims: Mapping[StationName, str]) -> RunOnBench:
+    """What a run has on the bench now: labware, claims, loans, doors away from rest, and setpoints."""
     stand = RunOnBench()
     for item in state.bench.list_owned(run_owner(run.id)):
         place = state.bench.find_planned_place(item.station)
@@ -47,6 +48,6 @@ def _list_left(state: LabState, run: RunState, claims: Mapping[StationName, str]
 
 
 def _find_left(module: Module, run: RunId) -> dict[str, Any]:
-    """How the doors and lids stand that a run has left away from rest."""
+    """The values of the doors and lids that a run has left away from their rest positions."""
     left = module.list_away_from_rest().items()
     return {variable: stands.value for variable, stands in left if stands.by == run}

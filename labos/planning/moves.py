@@ -1,4 +1,4 @@
-"""What may move on a floor, and what becomes of the floor then."""
+"""Which motions are possible on a floor, and how they change it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from labos.planning.paths import Motion
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
-    """An actor on a floor: a store of motions (see ``core.algebra``) that says whether something is in the
-    way, and not what."""
+    """An actor on a floor: a store of motions (see ``core.algebra``). A check returns True if something is in
+    the way, and None if not. It does not say what is in the way."""
 
     floor: Floor
     actor: Actor
@@ -67,7 +67,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
 
 
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether the motion is possible on this floor."""
+    """Whether a motion is possible on this floor."""
     if motion.back:
         return _may_go_back(floor, actor, motion)
     if is_closing(motion) and _is_left_out(floor, actor, motion):
@@ -79,7 +79,7 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
             return False
         if motion.joint and not _are_all_ready(floor, actor, motion):
             return False
-        asks = bool(motion.grabs) and not motion.recovers  # a recovery asks nobody
+        asks = bool(motion.grabs) and not motion.recovers  # a recovery ignores holders
         if asks and not all(_may_grab(floor, actor, key, value) for key, value in motion.grabs):
             return False
         if motion.room and check_rooms(Mover(floor, actor), motion) is not None:
@@ -92,15 +92,15 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
-    """Whether nobody else keeps a module."""
+    """Whether no other actor keeps a module from this one."""
     return _open_to(floor, actor, module) and (
         module not in floor.claimed or _may_claim(floor, actor, module)
     )
 
 
 def _are_all_ready(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether all who have labware in a module are ready for what an actor wants of it now, or it was done
-    for the actor already, with another one."""
+    """Whether all actors with labware in a module are ready for the action that this actor wants now. Also
+    True if the module has done it for this actor already, together with another one."""
     if actor.name in floor.held.get(done_key(motion.joint), {}):
         return True
     ready, wish = floor.held.get(ready_key(motion.joint), {}), motion.wish
@@ -109,8 +109,8 @@ def _are_all_ready(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _becomes_ready(actor: Actor, motion: Motion) -> bool:
-    """Whether nothing else is left before the step for which a motion makes an actor ready. Behind a fork
-    only the order that was planned is known."""
+    """Whether no other step is left before the step for which a motion makes an actor ready. Behind a fork
+    only the planned order is known."""
     left = [other for other in actor.motions[actor.done :] if other.for_step == motion.for_step]
     if motion not in left:
         return motion.is_last
@@ -118,20 +118,21 @@ def _becomes_ready(actor: Actor, motion: Motion) -> bool:
 
 
 def _list_inside(floor: Floor, module: ModuleName) -> list[str]:
-    """The actors with labware in a module that does things for all of them at once."""
+    """The actors with labware in a module that does an action for all of them at once."""
     claimed = floor.claimed.get(joint_claim(module), {})
     return [who for who, number in claimed.items() if number and who != OTHERS]
 
 
 def _is_set(floor: Floor, key: str, wanted: Any) -> bool:
-    """Whether a variable has a value, or may have it: what a device will report is not known yet."""
+    """Whether a variable has the wanted value. True if a device will report the value, because the report is
+    not known yet; False if branches leave different values."""
     value = floor.values.get(key)
     return value is not UNSETTLED and (is_reported(value) or is_same(value, wanted))
 
 
 def find_usable_place(floor: Floor, actor: Actor, places: Sequence[StationName]) -> StationName:
-    """The first of some places where labware stands that an actor may use: its own first; empty if there is
-    none."""
+    """The place, out of some, with labware that an actor may use. The first place with its own labware comes
+    first, then the order of its inputs counts. Empty if there is none."""
     for place in places:
         if _has_own(floor, actor, place):
             return place
@@ -141,7 +142,8 @@ def find_usable_place(floor: Floor, actor: Actor, places: Sequence[StationName])
 
 
 def _find_lender(floor: Floor, actor: Actor, place: StationName) -> Owner | None:
-    """Out of whose pool an actor may use labware at a place; on a stack, what lies on top."""
+    """The owner of labware at a place that an actor may use, from the pools of its inputs; None if there is
+    none. On a stack only the topmost piece counts."""
     pile = floor.piles.get(place)
     for owner in actor.inputs:
         if pile and owner != pile[-1]:
@@ -152,8 +154,8 @@ def _find_lender(floor: Floor, actor: Actor, place: StationName) -> Owner | None
 
 
 def _is_left_out(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether a motion of a closing workflow is left out, as nothing stands there that has to be cleared away
-    or that it works on."""
+    """Whether a motion of a closing workflow is left out, because the labware that it clears away or works on
+    is not there."""
     owners = [o for o in actor.inputs if actor.name in actor.inputs and o in floor.pools]
     for place in motion.stands:
         there = actor.own.get(place, 0) + sum(floor.pools[owner].get(place, 0) for owner in owners)
@@ -163,7 +165,7 @@ def _is_left_out(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether things can be as they are once it is known how something in flight ended."""
+    """Whether a motion is possible that corrects the floor after the outcome of a step in flight is known."""
     if motion.target:
         return motion.new or _has_room(floor, actor, motion)
     pile = floor.piles.get(motion.source)
@@ -171,7 +173,7 @@ def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether its target has room for what is moved, and is nobody else's deck."""
+    """Whether the target has room for the labware, and is not on a deck that another actor claims."""
     target = motion.target
     if floor.count.get(target, 0) >= floor.capacity.get(target, 0):
         return False
@@ -180,6 +182,7 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
+    """Whether no other actor keeps a module by a door away from rest or by a hold."""
     held = floor.held
     if held:
         for key in list_guard_keys(module):
@@ -189,13 +192,13 @@ def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
 
 
 def _holds_alone(actor: Actor, holders: dict[str, Any] | None) -> bool:
-    """Whether nobody else is among the holders of something."""
+    """Whether there is no other actor among the holders of something."""
     return not holders or (len(holders) == 1 and actor.name in holders)
 
 
 def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
-    """Whether an actor may come to hold something. A module is kept by a plan's word only once nobody else
-    has labware in it or has left its door: who has would not get at it any more."""
+    """Whether an actor may begin to hold something. A plan's hold on a module begins only if no other actor
+    has labware in it or has left its door away from rest: that actor could no longer reach into it."""
     if not _may_hold(floor, actor, key, value):
         return False
     module = find_kept_module(key)
@@ -205,7 +208,8 @@ def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 
 def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
-    """Whether nobody else holds it, or everybody wants the same."""
+    """Whether no other actor holds this, or all holders want the same value (None: it cannot be shared).
+    Also True if several runs may hold it for different things."""
     if may_be_shared(key):
         return True
     holders = floor.held.get(key)
@@ -215,7 +219,8 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 
 
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
-    """Whether nobody but the actor, and what it may use, stands where a claim is held."""
+    """Whether all labware at the stations of a claim belongs to the actor, or is labware that it may use.
+    Also True if several runs may share the claim."""
     if may_be_shared(claim):
         return True
     holders = floor.claimed.get(claim)
@@ -228,7 +233,7 @@ def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
 
 
 def _count_usable(floor: Floor, actor: Actor, claim: str) -> int:
-    """How much of what an actor may use stands where a claim is held."""
+    """The number of pieces at the stations of a claim that an actor may use, from the pools of its inputs."""
     pools = [floor.pools.get(owner, {}) for owner in actor.inputs]
     return sum(n for pool in pools for place, n in pool.items() if floor.claims.get(place) == claim)
 
@@ -273,7 +278,8 @@ def _carry(floor: Floor, actor: Actor, motion: Motion) -> None:
 
 
 def go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
-    """Make things be as it is known now (1), or as they were before (-1)."""
+    """Take labware away from the source of a motion and put it at the target (``sign`` 1), or undo this (-1).
+    Without a target, only the room at the source changes."""
     for place, change in ((motion.source, -sign), (motion.target, sign)):
         if not place:
             continue
@@ -288,8 +294,8 @@ def go_back(floor: Floor, actor: Actor, motion: Motion, sign: int) -> None:
 
 
 def _take_over(floor: Floor, actor: Actor, place: StationName) -> Owner | None:
-    """A plate whose lid an actor carries belongs to the actor from then on; returns out of whose pool it
-    came."""
+    """Give the labware at a place to an actor, for example the plate whose lid it carries. Returns the owner
+    from whose pool it comes; None if the actor has labware of its own there, or if there is none to use."""
     lender = None if _has_own(floor, actor, place) else _find_lender(floor, actor, place)
     if lender is not None:
         _change_owner(floor, actor, place, lender, 1)
@@ -297,7 +303,7 @@ def _take_over(floor: Floor, actor: Actor, place: StationName) -> Owner | None:
 
 
 def _change_owner(floor: Floor, actor: Actor, place: StationName, lender: Owner, sign: int) -> None:
-    """One piece out of a pool becomes an actor's (1), or goes back (-1)."""
+    """Move one piece from the pool of a ``lender`` to an actor (``sign`` 1), or back (-1)."""
     floor.add(floor.pools[lender], place, -sign)
     floor.add(actor.own, place, sign)
     change_claim(floor, place, OTHERS, -sign)
@@ -308,21 +314,22 @@ def _change_owner(floor: Floor, actor: Actor, place: StationName, lender: Owner,
 
 
 def change_pile(floor: Floor, place: StationName, who: str) -> None:
-    """Something of somebody's comes onto a stack; nobody's: what lies on top comes off it."""
+    """Put a piece of ``who`` on top of a stack, or take the topmost piece off if ``who`` is empty. Other
+    places have no pile and do not change."""
     pile = floor.piles.get(place)
     if pile is not None:
         floor.put(floor.piles, place, (*pile, who) if who else pile[:-1])
 
 
 def _has_own(floor: Floor, actor: Actor, source: StationName) -> bool:
-    """Whether an actor takes what is its own; on a stack that is so if it lies on top."""
+    """Whether an actor has labware of its own at a place; on a stack, whether it is the topmost piece."""
     pile = floor.piles.get(source)
     return pile[-1] == actor.name if pile else bool(actor.own.get(source))
 
 
 def _hold(floor: Floor, actor: Actor, motion: Motion) -> None:
-    """Let an actor hold what a motion grabs, and have what it needs; give up what it frees, and return what
-    was lent."""
+    """Carry out a motion that moves nothing. The actor holds what it grabs, borrows what it needs, releases
+    what it frees, and returns what was lent."""
     who, lent = actor.name, floor.lent.get(actor.name, ())
     is_early = motion.for_step is not None and not _becomes_ready(actor, motion)
     for key, value in motion.grabs if not is_early else ():
@@ -340,7 +347,7 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> None:
         for place, owner in lent:
             pile = floor.piles.get(place)
             if pile and (pile[-1] != who or pile.count(who) > 1):
-                continue  # of several on a stack it is not known here which one was lent
+                continue  # which one of several on a stack was lent is not known here
             _change_owner(floor, actor, place, owner, -1)
         floor.put(floor.lent, who, ())
     if motion.heir:
@@ -348,7 +355,7 @@ def _hold(floor: Floor, actor: Actor, motion: Motion) -> None:
 
 
 def _join(floor: Floor, who: str, motion: Motion) -> None:
-    """What a module does for one, it does for all who have labware in it."""
+    """A module does an action for an actor, and so for all actors with labware in it."""
     ready = floor.held.setdefault(ready_key(motion.joint), {})
     had = floor.held.setdefault(done_key(motion.joint), {})
     if who in had:
@@ -361,7 +368,7 @@ def _join(floor: Floor, who: str, motion: Motion) -> None:
 
 
 def _leave_all(floor: Floor, actor: Actor, heir: Owner) -> None:
-    """All that an actor has belongs to somebody else."""
+    """Give all labware of an actor to the ``heir``."""
     pool = floor.pools.setdefault(heir, {})
     for place, number in actor.own.items():
         if not number:
@@ -377,7 +384,7 @@ def _leave_all(floor: Floor, actor: Actor, heir: Owner) -> None:
 
 
 def _borrow(floor: Floor, actor: Actor, place: StationName, *, keeps: bool) -> None:
-    """What stands at a place is an actor's from now on: until its end, or for good."""
+    """Lend the labware at a place to an actor until its end, or for good if it ``keeps`` it."""
     lender = _take_over(floor, actor, place)
     if keeps:
         _keep_loan(floor, actor, place)
@@ -386,7 +393,7 @@ def _borrow(floor: Floor, actor: Actor, place: StationName, *, keeps: bool) -> N
 
 
 def _keep_loan(floor: Floor, actor: Actor, place: StationName) -> None:
-    """What was lent to an actor at a place stays its own."""
+    """Let an actor keep what was lent to it at a place."""
     lent = floor.lent.get(actor.name)
     if lent:
         floor.put(floor.lent, actor.name, tuple(loan for loan in lent if loan[0] != place))

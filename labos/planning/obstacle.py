@@ -1,7 +1,7 @@
-"""What stands in the way of a run that safety does not let in: a cause in words.
+"""The obstacle of a run that deadlock avoidance does not let start: a cause in words.
 
-Safety says only that no way out was found. Here the run is walked on paper after everybody else
-has gone as far as they can: the first motion that is not possible even then is the cause.
+Deadlock avoidance reports only that it found no way out. Here all other actors that can reach their ends do
+so first, on a floor. Then the run makes its motions. The first motion that is not possible is the cause.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from labos.planning.witness import copy_actor, finish_one_by_one
 
 
 def explain_wait(safety: Safety, state: LabState, run: RunState, wait: Wait) -> str:
-    """What a wait is for, with the cause where safety found no way out."""
+    """The reason of a wait, with the cause if deadlock avoidance found no way out."""
     text = wait.reason.sentence
     cause = find_obstacle(safety, state, run) if isinstance(wait.reason, NoWayOut) else ""
     return f"{text}: {cause}" if cause else text
 
 
 def find_obstacle(safety: Safety, state: LabState, run: RunState) -> str:
-    """The first thing in a run's way, in words; empty if it is not one thing alone."""
+    """The first obstacle of a run, in words. Empty if no single motion is impossible in any view."""
     plan = state.runs.plan_of(run)
     actors = safety.list_actors(state, plan.workcell)
     mover = next((actor for actor in actors if actor.name == run.id), None)
@@ -48,7 +48,8 @@ def find_obstacle(safety: Safety, state: LabState, run: RunState) -> str:
 
 
 def _find_obstacle(state: LabState, run: RunState, mover: Actor, others: Sequence[Actor], view: View) -> str:
-    """What a run meets in one view when everybody else has gone as far as they can."""
+    """The first obstacle of a run in one view, after all other actors that can reach their ends have done so.
+    The closing workflow that waits for the run is checked after it. Empty if there is no obstacle."""
     plan = state.runs.plan_of(run)
     others = [view_actor(actor, view) for actor in others]
     mover = view_actor(mover, view)
@@ -87,7 +88,7 @@ def _explain_obstacle(
 
 
 class Met:
-    """An actor on a floor: a store that says in words what is in the way of a motion."""
+    """An actor on a floor: a store (see ``core.algebra``) that says in words what prevents a motion."""
 
     def __init__(self, floor: Floor, actor: Actor, state: LabState, others: Sequence[Actor]) -> None:
         self.mover = Mover(floor, actor)
@@ -135,7 +136,7 @@ class Met:
         return f"needs room at {where}, {_describe_occupants(self.state, place, self.others)}"
 
     def describe_keeper(self, what: Motion, modules: Sequence[ModuleName]) -> str:
-        """Who keeps these modules."""
+        """A motion in words, and what keeps these modules from it."""
         who = _describe_holders(self.state, self.floor, self.actor, modules, [], self.others)
         return f"goes from {local(what.source)} to {local(what.target)}, but {who}"
 
@@ -145,7 +146,7 @@ class Met:
 
 
 def _describe_occupants(state: LabState, place: StationName, others: Sequence[Actor]) -> str:
-    """Who stands at a place, or will when the others have gone as far as they can."""
+    """The labware at a place, or the actors whose labware will be there after the others have ended."""
     station = state.bench.stations[place]
     owners = {name: state.bench.labware[name].owner.replace(":", " ") for name in station.labware}
     standing = [f"{name} of {owner or 'nobody'}" for name, owner in owners.items()]
@@ -165,7 +166,7 @@ def _describe_holders(
     keys: Sequence[str],
     others: Sequence[Actor],
 ) -> str:
-    """Who keeps modules or setpoints from the walker: by a hold, by a door, by labware."""
+    """What keeps modules or setpoints from the walker: actors with a hold or an open door, or labware."""
     wanted = [*keys, *(key(module) for module in modules for key in (hold_key, door_key))]
     who = [name for key in wanted for name in floor.held.get(key, {}) if name != walker.name]
     for place, claim in floor.claims.items():

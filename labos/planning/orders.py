@@ -1,9 +1,9 @@
-"""Runs whose steps may be done in more orders than one.
+"""Runs whose steps have several possible orders.
 
-An actor's motions stand in one order: as its steps are written, or as they were found to be possible last.
-Where that order is blocked, another one may not be: of two branches of a run the one that has taken the only
-place has to go on first, whichever is written first. So a step may be brought forward, if the ``after``
-relations of its plan allow that. The motions are worked out anew for each order.
+An actor's motions are in one order: the written order of its steps, or the last order that was possible. If
+this order is blocked, another one may be possible. Example: one of two branches of a run has taken the only
+place. That branch has to go on first, even if the other one is written first. So a step may be brought
+forward if the ``after`` relations of its plan allow it. The motions are computed again for each order.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from labos.planning.paths import END, Motion, MotionStep, Orders
 
 
 def list_next_steps(actor: Actor) -> list[MotionStep]:
-    """The steps that an actor may do next, those of its motions only; that of its next motion first."""
+    """The steps with motions that an actor may do next; the step of its next motion is the first."""
     left = list(dict.fromkeys(motion.step for motion in actor.motions[actor.done :]))
     if actor.orders is None or not left:
         return left[:1]
@@ -25,8 +25,8 @@ def list_next_steps(actor: Actor) -> list[MotionStep]:
 
 
 def bring_forward(actor: Actor, step: MotionStep) -> bool:
-    """Put a step before all others that an actor has left; whether that is possible. The step must be one of
-    those that it may do next."""
+    """Put a step before all other steps that an actor has left; return whether that is possible. The step is
+    one of ``list_next_steps``."""
     here = actor.motions[actor.done :]
     if not here or here[0].step == step:
         return bool(here)
@@ -40,7 +40,8 @@ def bring_forward(actor: Actor, step: MotionStep) -> bool:
 
 
 def put_in_order(actor: Actor, order: Sequence[MotionStep]) -> None:
-    """Give an actor an order of its steps that was found before, if it still is one of all that are left."""
+    """Give an actor an order of steps that was found before. Nothing changes if these are not exactly the
+    steps of its motions, or if the order is not possible."""
     mine = list(dict.fromkeys(motion.step for motion in actor.motions))
     if actor.orders is None or order == mine or set(order) != set(mine):
         return
@@ -50,8 +51,8 @@ def put_in_order(actor: Actor, order: Sequence[MotionStep]) -> None:
 
 
 def _arrange(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | None:
-    """The motions that an actor has left in this order of its steps; None if its plan does not allow it, or
-    if other steps move something then."""
+    """The motions of an actor in this order of its steps. None if its plan does not allow the order, or if
+    other steps than these would have motions in it."""
     orders = actor.orders
     assert orders is not None
     steps = [step for step in order if isinstance(step, int)]
@@ -70,7 +71,7 @@ def _arrange(actor: Actor, order: Sequence[MotionStep]) -> tuple[Motion, ...] | 
 
 
 def _fill_in(orders: Orders, left: Sequence[int], steps: Sequence[int]) -> list[int]:
-    """All steps that are left, those that move something in this order, the others as soon as they may."""
+    """All steps that are left: those with motions in this order, each of the others as early as possible."""
     order: list[int] = []
     moving, still = set(steps), [step for step in left if step not in steps]
     for step in [*steps, None]:

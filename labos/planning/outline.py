@@ -1,10 +1,10 @@
-"""A simplified model of a workcell, for looking ahead often: modules, zones and places are numbers.
+"""A simplified model of a workcell, to look ahead often. In it, modules, zones and places are numbers.
 
-Steps take their usual times. A step takes its module, zones and the
-modules that a hand reaches into while it lasts; labware takes room, and its deck, from the start of the step
-that brings it to the end of the one that carries it away. A step starts as soon as it can, runs inside first,
-if all of them can still reach their ends. Windows, doors and setpoints are left out. No rule of safety
-depends on this model.
+Steps take their usual times. While a step lasts, it takes its module, its zones, the modules that a hand
+reaches into, and the place where the grip changes. Labware takes room at its place and on its deck. It does
+so from the start of the step that brings it to the end of the step that carries it away. A step starts as
+soon as it can, if all runs inside can still reach their ends. Runs inside go first. Windows, doors and
+setpoints are left out. No rule of safety depends on this model.
 """
 
 from __future__ import annotations
@@ -24,12 +24,13 @@ from labos.planning.forecast import find_usual_time
 from labos.planning.taken import count_room, find_station, is_deck, list_counted_keys, list_taken
 
 SEARCH_LIMIT = 20
-"""Orders of steps that are tried before a start counts as unsafe."""
+"""The most intermediate states that the search for a witness tries before a start counts as unsafe."""
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):
-    """A step: what it takes while it lasts, what it takes room in from its start, and what is free again from
-    its end, by their numbers; which steps come after it, and how many before."""
+    """A step, with modules, zones and places as numbers. It ``takes`` some of them while it lasts. It
+    ``gets`` room in some from its start, and ``frees`` room in others from its end. ``followers`` are the
+    steps that come after it; ``before`` is the number of steps that come before it."""
 
     takes: tuple[int, ...]
     gets: tuple[int, ...]
@@ -44,7 +45,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
 
 
 def _add_to(counts: list[int], task: Task, sign: int) -> None:
-    """What takes room with a task and what is free after it, both at once (1); or take that back (-1)."""
+    """Count the room that a task gets and frees, both at once (``sign`` 1), or undo this (-1)."""
     for key in task.gets:
         counts[key] += sign
     for key in task.frees:
@@ -52,7 +53,7 @@ def _add_to(counts: list[int], task: Task, sign: int) -> None:
 
 
 class Ways:
-    """Plans in outline, and how much room there is: for one bench."""
+    """The plans of one bench in this model, and the room at its places. ``names`` are the keys by number."""
 
     def __init__(self) -> None:
         self.numbers: dict[str, int] = {}
@@ -61,7 +62,7 @@ class Ways:
         self._plans: dict[str, tuple[Task, ...]] = {}
 
     def read(self, state: LabState, name: str) -> tuple[Task, ...]:
-        """A plan that the state knows, in outline."""
+        """A plan of the state, as tasks. ``name`` is the plan's id."""
         found = self._plans.get(name)
         if found is None:
             if len(self._plans) > max(256, 2 * len(state.runs.plans)):
@@ -102,8 +103,9 @@ class Ways:
 
 
 class Outline:
-    """Runs inside and some that wait, from now on. They are known by their numbers, the runs inside first;
-    ``order`` are the starts: (time, run, step)."""
+    """The runs inside and some waiting runs, from ``now`` on (UTC ns). Runs have numbers; those of the runs
+    inside come first. ``order`` has the starts of steps: (time, run, step). ``used`` is the room in use,
+    ``floor`` that after the end of all steps in flight."""
 
     def __init__(self, state: LabState, cell: str, waiting: Sequence[RunState], now: int, ways: Ways) -> None:
         self.now = now
@@ -134,7 +136,7 @@ class Outline:
     def _add(
         self, state: LabState, run: RunState, way: tuple[Task, ...], flying: dict[tuple[RunId, int], Action]
     ) -> None:
-        """Let a run take part, as far as it has come."""
+        """Add a run in its present state."""
         plan, number, goes_on = state.runs.plan_of(run), len(self.runs), _goes_on(run)
         states = [step.status for step in run.steps] if run.has_started else [PENDING] * len(way)
         over = {index for index, status in enumerate(states) if status in SETTLED}
@@ -174,7 +176,7 @@ class Outline:
         self.ends.append(0)
 
     def _see_strangers(self, state: LabState, owners: set[Owner], ways: Ways) -> None:
-        """Labware of nobody inside takes up room as well."""
+        """Count the room of labware that belongs to no run inside."""
         for number, key in enumerate(ways.names):
             station = find_station(state, key)
             strangers = sum(
@@ -202,10 +204,11 @@ class Outline:
         other.used, other.floor, other.busy = list(self.used), list(self.floor), list(self.busy)
         return other
 
-    # -- going on ------------------------------------------------------------------------------
+    # -- simulation ----------------------------------------------------------------------------
 
     def go_on(self, see: Callable[[Outline], None] | None = None) -> Outline:
-        """Carry on until nothing can start any more; ``see`` is called whenever all has started that can."""
+        """Simulate until no step can start any more. Whenever all steps that can start have started, ``see``
+        is called."""
         while True:
             moved = True
             while moved:
@@ -223,24 +226,24 @@ class Outline:
             self.advance()
 
     def is_free(self, who: int, step: int) -> bool:
-        """Whether nobody else has what a step takes."""
+        """Whether all that a step takes is free, and there is room for all that it brings."""
         task = self.ways[who][step]
         for key in task.takes:
             if self.busy[key]:
                 return False
-        for key in task.gets:  # noqa: SIM110  (asked too often for a generator)
+        for key in task.gets:  # noqa: SIM110  (called too often for a generator)
             if self.used[key] >= self.room[key]:
                 return False
         return True
 
     def find_in_the_way(self, who: int, step: int) -> Iterator[int]:
-        """What a step takes that others have."""
+        """The numbers of a step's needs that are in use or full."""
         task = self.ways[who][step]
         yield from (key for key in task.takes if self.busy[key])
         yield from (key for key in task.gets if self.used[key] >= self.room[key])
 
     def list_held(self, who: int) -> set[int]:
-        """What a run that was let in has since."""
+        """The numbers of what a run has taken and not released since its start in this simulation."""
         held: list[int] = []
         flying = {step for _, other, step in self.flying if other == who}
         for _, other, step in self.order:
@@ -253,7 +256,8 @@ class Outline:
         return set(held)
 
     def start(self, who: int, step: int, witness: list[int]) -> None:
-        """Let a step begin; ``witness`` is an order in which all come to the end after it."""
+        """Start a step. ``witness`` is an order of motions in which all runs inside reach their ends after
+        this start."""
         task = self.ways[who][step]
         for key in task.takes:
             self.busy[key] = 1
@@ -268,7 +272,7 @@ class Outline:
         heapq.heappush(self.flying, (self.now + self.times[who][step], who, step))
 
     def advance(self) -> None:
-        """Go on to the next end."""
+        """Go to the next end of a step."""
         self.now = self.flying[0][0]
         while self.flying and self.flying[0][0] <= self.now:
             _, who, step = heapq.heappop(self.flying)
@@ -287,14 +291,15 @@ class Outline:
 
     @property
     def value(self) -> tuple[int, int]:
-        """How many runs have not come to their ends, and when all are over: less is better."""
+        """The number of runs that have not reached their ends, and the time at which the last run ends: less
+        is better."""
         return sum(left > 0 for left in self.left), max(self.ends, default=0)
 
-    # -- whether everybody comes to the end ------------------------------------------------------
+    # -- whether all runs can reach their ends ---------------------------------------------------
 
     def find_witness(self, who: int, step: int) -> list[int] | None:
-        """An order of motions, as numbers of runs, in which everybody inside comes to the end after this
-        start; None if none is found."""
+        """An order of motions, as numbers of runs, in which all runs inside reach their ends after this
+        start. None if the search finds none."""
         task = self.ways[who][step]
         if not task.carries:
             return self.witness
@@ -314,7 +319,7 @@ class Outline:
         return witness
 
     def _is_valid(self, witness: Iterable[int]) -> bool:
-        """Whether an order of motions is possible."""
+        """Whether there is room for all motions of an order."""
         floor, done = list(self.floor), [0] * len(self.runs)
         for who in witness:
             if done[who] >= len(self.carrying[who]):
@@ -330,7 +335,7 @@ class Outline:
         return True
 
     def _search(self) -> list[int] | None:
-        """An order of motions that brings everybody inside to the end."""
+        """An order of motions in which all runs inside reach their ends. None if the search finds none."""
         who = [number for number, inside in enumerate(self.inside) if inside and self.carrying[number]]
         tasks = [[self.ways[number][step] for step in self.carrying[number]] for number in who]
         search = _Search(tasks, self.floor, self.room)
@@ -338,7 +343,7 @@ class Outline:
 
 
 class _Search:
-    """Looks for an order of motions on a floor."""
+    """Searches for an order of motions. ``floor`` is the room that is used now; ``room`` is the capacity."""
 
     def __init__(self, tasks: list[list[Task]], floor: list[int], room: list[int]) -> None:
         self.tasks, self.floor, self.room = tasks, list(floor), room
@@ -369,7 +374,8 @@ class _Search:
         return self.at[number] >= len(self.tasks[number])
 
     def _finish(self) -> bool:
-        """Let one after the other go to its end, as long as one can; takes all back if somebody is left."""
+        """Let one run after the other go to its end, as long as one can. If a run is left, all motions are
+        undone."""
         before, moved = len(self.order), True
         while moved:
             moved = False

@@ -1,17 +1,18 @@
 """Finds an order in which the next motions of a workcell should start, by inserting runs one by one.
 
-An order of motions is a list of runs: each stands in it once for each of its motions that are left. It says
-which run goes first wherever two need the same. How long it takes is worked out in the simplified model
-(``outline``). A run is taken out of the list and put back at the best place: each of its motions then stands
-where it does not have to wait, as long as the places on its way are free. So the list stays possible. Again
-and again one or two runs are taken out and put back, and what ends sooner is kept.
+An order of motions is a list of runs. Each run stands in it once for each of its remaining motions. If two
+runs need the same module, zone or place, the one that is earlier in the list goes first. The simplified model
+(``outline``) computes when each step starts. The search takes some runs out of the order, up to half of them
+and one more. It puts them back one by one, each at the best place. A motion stands where its run is ready and
+the target has room; earlier, if another run needs the place where the run is. So the order stays possible.
+This is repeated, and an order that ends sooner is kept.
 
-An order is held against the order by age, in the same model: it is followed only if all work ends clearly
-sooner, and a run that ends later than by age counts against it (``Value``).
+An order is compared with the order by age, in the same model. It is followed only if all work ends clearly
+sooner. A run that ends later than by age counts against it (``Value``).
 
-In one turn of the kernel at most ``AT_ONCE`` lists are tried. Runs that can start do so with the best one so
-far, and the search goes on from it. The choice of runs is drawn from the runs and the number of lists that
-were tried: a forecast that goes on from the same state finds the same order.
+One turn of the kernel tries about ``AT_ONCE`` orders. Runs that can start do so with the best order so far,
+and the search continues from it. The numbers that choose runs are computed from the runs and the count of
+orders tried. So a forecast that continues from the same state finds the same order.
 """
 
 from __future__ import annotations
@@ -30,43 +31,46 @@ from labos.planning.outline import Outline, Ways
 from labos.planning.supplies import are_enough
 
 OWN = "labos"
-"""By whom the lab's own order is."""
+"""The author (``by``) of the lab's own orders."""
 
 ENOUGH = 3000
-"""So many lists are tried for the same runs, not all at once."""
+"""The number of orders that are tried for the same runs, over several turns of the kernel."""
 
 AT_ONCE = 60
-"""So many are tried in one turn of the kernel."""
+"""After this many orders, a turn of the kernel takes no more runs out of an order."""
 
 BEFORE_START = 2000
-"""So many are tried before the first run starts in an empty workcell: what it does cannot be taken back."""
+"""The number of orders that are tried before the first run starts in an empty workcell, because a start
+cannot be undone."""
 
 BREATH_NS = 2_000_000
-"""The pause between two turns of a search: work that has to be done goes on meanwhile."""
+"""The pause between two turns of a search (ns). Other work goes on in this time."""
 
 REFRESH_S, REFRESHED = 1.0, 20
-"""Once enough have been tried, an order is looked at again after so many lab seconds at the earliest, and so
-many lists are tried then."""
+"""After ``ENOUGH`` orders, a followed order is computed again after this many lab seconds at the earliest.
+This many orders are then tried."""
 
 STALE_S = 60.0
-"""After so many lab seconds an order that is not followed counts no more."""
+"""An order is barred if a step has still not started this many lab seconds after it could by the model. An
+order is valid until this many lab seconds after the end of all work."""
 
 WORSE = 0.25
-"""A list that takes longer by up to this part may be gone on from."""
+"""The search may continue from an order that is worse by up to this part of the remaining time."""
 
 GAIN = 0.02
-"""An order is followed if it is better than the order by age by this part of the time that is left."""
+"""An order is followed if it is better than the order by age by this part of the remaining time."""
 
 EQUALLY_OLD_S = 60.0
-"""Runs of one user that were submitted within so many lab seconds are equally old."""
+"""Runs of one user that were submitted within this many lab seconds are equally old."""
 
 Value = tuple[int, int]
-"""How good an order is: less is better. First when all is over, plus the time by which that run ends later
-than by age that loses most; then the sum of the runs' ends."""
+"""How good an order is; less is better. First the end of all work (UTC ns), plus the largest loss of a run:
+how much later it ends than by age. Then the sum of the ends of all runs."""
 
 
 Part = tuple[int, int, tuple[int, ...], tuple[int, ...], tuple[int, ...]]
-"""A step, its time, what it takes, what it takes room in from its beginning, and what it frees at its end."""
+"""A step, its duration (ns), and numbers of the model: what it uses while it lasts, the places where it takes
+room from its start, and the places where it frees room at its end."""
 
 _MASK = 2**64 - 1
 
@@ -74,28 +78,29 @@ FAR = 2**62
 
 
 class MotionGroup(msgspec.Struct, frozen=True, gc=False):
-    """A motion of a run, and the steps that follow it up to the next one. ``left`` is the time of these and
-    of all later ones."""
+    """A motion of a run, and the steps after it up to the next motion. ``left`` is the duration of these and
+    of all later steps of the run (ns)."""
 
     parts: tuple[Part, ...]
     left: int
 
 
 class EquallyOld(msgspec.Struct, frozen=True):
-    """Runs of the same age, and when they would end by age, the first end first: which of them ends when
-    makes no difference."""
+    """Runs of the same age, and their ends by age, the first end first (UTC ns). Which of these runs has
+    which end makes no difference."""
 
     runs: frozenset[RunId]
     ends: tuple[int, ...]
 
 
 class OwnOrder(msgspec.Struct):
-    """The order of a workcell: the runs of its motions; those of the list with which the search ended; when
-    its steps start; for which runs it was found; when it was ``seen``; and how many lists were tried.
-    ``by_age`` is when runs would end by age, and ``limit`` the value that an order must have to be followed,
-    both as they were when the last of these runs came. ``is_followed``: an order had it. ``due`` are steps
-    that could have started, and since when. It is ``barred`` if one of them has not started for long: the
-    model does not know what it waits for."""
+    """The order of a workcell. ``motions`` are the runs of its motions, and ``last`` those of the order with
+    which the search ended. ``order`` has the starts of its steps. ``runs`` are those for which it was found,
+    ``seen`` is when it was last computed (UTC ns), ``tried`` the number of orders tried. ``by_age`` are the
+    ends of runs by age. ``limit`` is the largest value with which an order is followed. Both are from the
+    time when the last of these runs was submitted. ``is_followed``: an order had such a value. ``due`` are
+    steps that could have started by the model, and since when (UTC ns). If one of them has not started for
+    ``STALE_S``, the order is ``barred``: the model does not know what the step waits for."""
 
     motions: list[RunId]
     last: list[RunId]
@@ -115,9 +120,10 @@ def _list_sequence(order: OrderSuggested | None) -> list[tuple[RunId, int]] | No
 
 
 class OwnOrders:
-    """The orders that the lab has found by itself, one for each workcell. In an empty workcell, no run starts
-    before so many lists have been tried: ``before_start``. With ``enough`` 0, there are none. They go on from
-    those that are ``known``. With ``weighs_age`` false, it makes no difference which run is older."""
+    """The lab's own orders, one for each workcell. ``enough`` orders are tried for the same runs; with 0,
+    there is no own order. In an empty workcell, no run starts before ``before_start`` orders have been tried.
+    The search continues from the ``known`` orders. With ``weighs_age`` false, the age of runs does not
+    count, and each order that is found is followed."""
 
     def __init__(
         self,
@@ -133,7 +139,7 @@ class OwnOrders:
 
     @property
     def known(self) -> dict[str, OwnOrder]:
-        """What was found so far, by workcell."""
+        """The orders found so far, by workcell."""
         return dict(self._known)
 
     @property
@@ -144,31 +150,32 @@ class OwnOrders:
         return bool(self._known)
 
     def find(self, cell: str) -> OrderSuggested | None:
-        """The order of a workcell, if there is one."""
+        """The order of a workcell; None if there is none, or if it is not followed or is barred."""
         known = self._known.get(cell)
         return known.order if known is not None and known.is_followed and not known.barred else None
 
     def forget(self, cell: str) -> None:
-        """The bench of a workcell has changed."""
+        """Forget the order and the model of a workcell, because its bench has changed."""
         self._ways.pop(cell, None)
         self._known.pop(cell, None)
 
     def drop(self, cell: str) -> bool:
-        """There is no order for a workcell as it is now. Returns whether there was one."""
+        """Remove the order of a workcell. Returns whether there was one."""
         return self._known.pop(cell, None) is not None
 
     def search(
         self, state: LabState, cell: str, inside: Sequence[RunState], waiting: Sequence[RunState], now: int
     ) -> bool:
-        """Find an order for these runs, or a better one; whether it is another one than before."""
+        """Search for an order for these runs, or for a better one. Returns whether the order of the workcell
+        has changed; if none is possible, it is removed."""
         runs = frozenset(run.id for run in (*inside, *waiting))
         known = self._known.get(cell)
-        # If the clock was set back, the times of what was found count no more.
+        # If the clock was set back, the times of the known order are no longer valid.
         kept = known if known is not None and runs <= known.runs and known.seen <= now else None
         if kept is not None and (kept.barred or now < self._find_next_look(state, kept)):
             return False
         if not are_enough(state, [*inside, *waiting]):
-            return self.drop(cell)  # what is left is for the oldest
+            return self.drop(cell)  # the oldest runs get the supplies
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return self.drop(cell)
@@ -208,14 +215,14 @@ class OwnOrders:
         return _play_by_age(state, outline) if self._weighs_age else ((), FAR)
 
     def goes_on_at(self, cell: str) -> int | None:
-        """When the search goes on (UTC ns); None if it is over."""
+        """The time at which the search continues (UTC ns); None if it is over."""
         known = self._known.get(cell)
         if known is None or known.barred or known.tried >= self._enough:
             return None
         return known.seen + BREATH_NS
 
     def is_too_early(self, state: LabState, cell: str) -> bool:
-        """Whether no run should start yet in an empty workcell."""
+        """Whether a workcell is empty and no run should start yet, because too few orders have been tried."""
         known = self._known.get(cell)
         if known is None or known.barred or state.runs.list_inside(cell):
             return False
@@ -229,8 +236,8 @@ class OwnOrders:
 
 
 def _play_by_age(state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, ...], int] | None:
-    """When runs end if those inside go first, and then the oldest; and the value that an order has to have to
-    be followed instead. None if they do not all come to their ends."""
+    """The ends of the runs if the runs inside go first, and then the oldest; and the largest value with which
+    an order is followed instead. None if not all runs reach their ends."""
     play = outline.copy().go_on()
     if any(left > 0 for left in play.left):
         return None
@@ -245,7 +252,8 @@ def _play_by_age(state: LabState, outline: Outline) -> tuple[tuple[EquallyOld, .
 
 
 def group_equally_old(state: LabState, runs: Iterable[RunState]) -> list[list[RunState]]:
-    """Runs of which those are together that one user submitted within ``EQUALLY_OLD_S``, the oldest first."""
+    """The runs in groups: those that one user submitted within ``EQUALLY_OLD_S`` are together. In a group,
+    the oldest is first."""
     groups: list[list[RunState]] = []
     for run in sorted(runs, key=lambda run: (run.user, run.submitted_at, run.position)):
         first = groups[-1][0] if groups else None
@@ -258,7 +266,7 @@ def group_equally_old(state: LabState, runs: Iterable[RunState]) -> list[list[Ru
 
 
 class FoundOrder(msgspec.Struct, frozen=True):
-    """``last`` is when all is over."""
+    """An order with its value and its starts. ``last`` is the end of all work (UTC ns)."""
 
     value: Value
     last: int
@@ -268,8 +276,9 @@ class FoundOrder(msgspec.Struct, frozen=True):
 
 
 class OrderSearch:
-    """Looks for an order of the motions of an outline. ``tried`` counts the lists, ``seed`` those that were
-    tried before. ``by_age`` is when they would end by age."""
+    """Searches for an order of the motions of an outline. ``tried`` counts the orders, ``seed`` those that
+    were tried before. ``by_age`` are the ends of the runs by age. ``is_possible``: the model fits the runs
+    and what is in flight; otherwise do not search."""
 
     def __init__(self, outline: Outline, by_age: Sequence[EquallyOld], seed: int = 0) -> None:
         self.outline = outline
@@ -300,7 +309,7 @@ class OrderSearch:
         self.is_possible &= all(not taken or key in busy for key, taken in enumerate(outline.busy))
 
     def _read(self, who: int) -> bool:
-        """Take down a run's steps that are left; whether they stand in one line."""
+        """Read the remaining steps of a run. Returns whether each of them follows the one before."""
         outline = self.outline
         way, times = outline.ways[who], outline.times[who]
         line = self._list_line(who)
@@ -329,8 +338,8 @@ class OrderSearch:
         return True
 
     def _list_line(self, who: int) -> list[int] | None:
-        """A run's main steps that have not begun, each of which waits for the one before; None if some stand
-        beside each other."""
+        """The main steps of a run that have not begun, if each follows the one before. None if some steps do
+        not wait for each other, or if not all remaining steps are in this line."""
         outline = self.outline
         way, turns = outline.ways[who], outline.turns[who]
         flown = [step for _, other, step in outline.flying if other == who]
@@ -346,13 +355,13 @@ class OrderSearch:
                 return None
         return line if len(line) + len(flown) == max(outline.left[who], 0) else None
 
-    # -- how long an order takes ---------------------------------------------------------------------
+    # -- the duration of an order --------------------------------------------------------------------
 
     def measure(
         self, order: Sequence[int], most: int | None = None, without: frozenset[int] = frozenset()
     ) -> FoundOrder | None:
-        """When each step starts in this order, as if runs that are left out were not there; None if it is not
-        possible, or if all of it is over later than ``most``."""
+        """The start of each step in this order, as if the runs ``without`` were not there. None if the order
+        is not possible, or if the model shows that a run would end after ``most`` (UTC ns)."""
         self.tried += 1
         free_at, ready = list(self._free_at), list(self._ready)
         slots = [list(times) for times in self._slots]
@@ -379,8 +388,8 @@ class OrderSearch:
         return FoundOrder((last + self._find_loss(ready, without), total), last, list(order), starts)
 
     def _find_loss(self, ends: Sequence[int], without: frozenset[int]) -> int:
-        """By how much the run ends later than by age that loses most. Of equally old ones, those that are
-        over were the first."""
+        """The largest loss of a run: how much later it ends than by age (ns). Of equally old runs, those that
+        are over count as the ones with the first ends."""
         loss = 0
         for group, by_age in self._by_age:
             mine = sorted([ends[who] for who in group if who not in without])
@@ -398,7 +407,8 @@ class OrderSearch:
         slots: list[list[int]],
         starts: list[tuple[int, int, int]],
     ) -> bool:
-        """Let a run do these steps as soon as it can; False if there is no room for it yet."""
+        """Start these steps of a run one after the other, each as soon as possible. Returns False if at this
+        point of the order there is no room for one of them."""
         time = ready[who]
         for step, lasts, takes, gets, frees in parts:
             for key in takes:
@@ -424,8 +434,8 @@ class OrderSearch:
     # -- putting a run into an order -----------------------------------------------------------------
 
     def insert(self, order: Sequence[int], who: int, out: frozenset[int] = frozenset()) -> FoundOrder | None:
-        """The best order with a run that this one does not have. Others that are ``out`` of it are put back
-        later."""
+        """The best order after a run is put into this one; None if there is none. The runs ``out`` are
+        missing too, and are put back later."""
         gone = out | {who}
         found = self.measure(order, without=gone)
         if found is None:
@@ -455,7 +465,8 @@ class OrderSearch:
     def _list_used(
         self, found: FoundOrder, gone: frozenset[int]
     ) -> tuple[list[list[int]], list[list[int]], list[int]]:
-        """How many take room before each motion of an order, and during each; and when each begins."""
+        """The pieces that take room at each place: before each motion of an order and after the last, then
+        during each motion. Then the start of each motion (UTC ns). Runs that are ``gone`` take no room."""
         floor = list(self.outline.floor)
         for who in gone:
             for key, count in self._held[who].items():
@@ -480,8 +491,9 @@ class OrderSearch:
     def _find_places(
         self, who: int, first: int, used: list[list[int]], peaks: list[list[int]], begun: list[int]
     ) -> tuple[int, ...] | None:
-        """Where the motions of a run stand if it sets out at ``first``: each waits until it is ready, but
-        goes on before another one needs the place where the run is. None if that is not possible."""
+        """Where in an order the motions of a run stand, if the search begins at ``first``. A motion stands
+        where its run is ready and there is room, but before a motion of another run that needs the place
+        where the run is. A run from outside has its first motion at ``first``. None if not possible."""
         room, length = self._room, len(begun)
         held = dict(self._held[who])
         places: list[int] = []
@@ -518,8 +530,9 @@ class OrderSearch:
     def improve(
         self, most: int, order: Sequence[int] = (), last: Sequence[int] = ()
     ) -> tuple[FoundOrder, FoundOrder] | None:
-        """A good order, and the one with which the search ended; None if none is found. It begins with what
-        was found ``last``, and the best ``order`` so far. So many lists are tried."""
+        """The best order found, and the order with which the search ended; None if none is found. It begins
+        with the best ``order`` so far and with ``last``, with which the previous search ended. After ``most``
+        tried orders, no more runs are taken out."""
         best = self._complete(list(order)) or self._complete([])
         if best is None:
             return None
@@ -546,8 +559,9 @@ class OrderSearch:
         return best, here
 
     def _complete(self, order: list[int]) -> FoundOrder | None:
-        """An order with all motions that are left: those that have begun are gone, runs that are new are put
-        in, the longest first, and of equally long ones the youngest: who comes later is put in front."""
+        """An order with all remaining motions; None if there is none. Motions that have begun are left out.
+        New runs are put in: first the runs inside, then the longest, and of equally long ones the youngest. A
+        run that is put in later stands in front of equal ones."""
         kept: list[int] = []
         left = [len(motions) for motions in self._motions]
         for who in reversed(order):
@@ -567,7 +581,7 @@ class OrderSearch:
         return found or self.measure(rest)
 
     def _draw(self) -> Iterator[int]:
-        """Numbers that look like chance, the same for the same runs after as many lists."""
+        """Pseudorandom numbers, the same for the same runs after the same number of tried orders."""
         value = (sum(run.position for run in self.outline.runs) * 1_000_003 + self._seed) & _MASK
         while True:
             value = (value * 6364136223846793005 + 1442695040888963407) & _MASK

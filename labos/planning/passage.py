@@ -1,5 +1,5 @@
-"""Whether runs can still come to their ends after some steps have been started, one after the other; and
-whether they can if nobody moves between two steps where the second has to follow in time."""
+"""Whether runs can still reach their ends after some steps have started, one after the other. Also, whether
+they can if no run moves between two steps of which the second has to follow in time."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from labos.planning.safety import Safety, View, view_actor
 from labos.planning.witness import Trail, copy_actor, finish_one_by_one, go_on, take_all_back
 
 SEARCH_LIMIT = 100
-"""Interleavings looked at before an order is given up."""
+"""The most interleavings that are tried before a search is given up."""
 
 
 def find_first_trap(
     state: LabState, cell: str, starts: Sequence[Step], safety: Safety
 ) -> tuple[Step, tuple[str, ...]] | None:
-    """The first of these starts after which some runs could not come to their ends that can now, and which
-    runs these are. None if there is no such start, or if somebody's way forks: then planning asks about
-    each start when its turn comes."""
+    """The first of these starts after which some runs could not reach their ends although they can now, and
+    the names of these runs. None if there is no such start. None also if the way of an actor forks: then
+    planning checks each start when its turn comes."""
     here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
@@ -51,8 +51,8 @@ def find_first_trap(
 
 
 def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: Safety) -> Step | None:
-    """A step that could not follow in time after these starts, whichever run goes first: others would have to
-    move while its clock runs. None if there is none, or if it cannot be known."""
+    """A step that could not follow in time after these starts, whichever run goes first: other runs would
+    have to move while its clock runs. None if there is no such step, or if this cannot be known."""
     here = _view_actors(state, cell, [name for name, _ in starts], safety)
     if any(actor.forks for actor in here):
         return None
@@ -70,8 +70,8 @@ def find_late_step(state: LabState, cell: str, starts: Sequence[Step], safety: S
 
 
 def _list_ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int]:
-    """For each motion of an actor the windowed step that makes the next one follow at once (0:
-    it may wait)."""
+    """For each motion of an actor, the windowed step because of which the next motion has to follow at once
+    (0: it may wait)."""
     run = state.runs.get(RunId(actor.name))
     if run is None:
         return [0] * len(actor.motions)
@@ -94,7 +94,7 @@ def _list_ties(state: LabState, actor: Actor, begun: Sequence[Step]) -> list[int
 
 
 def _join_spans(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Windows of which each starts with the step that the one before it ends with, as one."""
+    """The spans of windows; two are joined if one starts with the step with which the other ends."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(spans):
         before = next((number for number, span in enumerate(found) if span[1] == first), None)
@@ -106,7 +106,8 @@ def _join_spans(spans: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _come_to_ends(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequence[int]]) -> bool:
-    """Whether actors come to their ends in an order in which tied motions follow at once."""
+    """Whether actors reach their ends in an order in which tied motions follow at once. False also if the
+    search is given up."""
     seen: set[tuple[int, ...]] = set()
 
     def deeper() -> bool:
@@ -130,7 +131,8 @@ def _come_to_ends(floor: Floor, actors: Sequence[Actor], ties: Mapping[str, Sequ
 
 
 def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> bool:
-    """Carry out an actor's next motion and those that are tied to it; nothing if one is not possible."""
+    """Carry out an actor's next motion and those that are tied to it. If one is not possible, undo them and
+    return False."""
     tied = True
     while tied:
         if actor.done >= len(actor.motions) or not go_on(floor, actor, trail):
@@ -141,7 +143,8 @@ def _go_on(floor: Floor, actor: Actor, ties: Sequence[int], trail: Trail) -> boo
 
 
 def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safety) -> list[Actor]:
-    """Step is inside, or about to be let in, if nobody were stuck and experiments closed."""
+    """The actors inside, and those of the named runs that would be admitted. They are seen as if no actor
+    were stuck and all experiments closed."""
     view = View(cell, hopeful=True, closing=True)
     actors = safety.list_actors(state, cell)
     inside = {actor.name for actor in actors}
@@ -155,8 +158,8 @@ def _view_actors(state: LabState, cell: str, names: Sequence[str], safety: Safet
 def _find_ending_runs(
     floor: Floor, actors: Sequence[Actor], starts: Sequence[Step], safety: Safety
 ) -> set[str]:
-    """Who comes to its end after these starts; nobody if one of them is not possible. Changes neither floor
-    nor actors."""
+    """The actors that reach their ends after these starts; empty if one of the starts is not possible.
+    Changes neither floor nor actors."""
     mark, cast = len(floor.changes), {actor.name: copy_actor(actor) for actor in actors}
     is_possible = all(_carry_out(floor, cast[name], step) for name, step in starts)
     ends = safety.find(floor, list(cast.values()), set(cast))[1] if is_possible else set()
@@ -165,7 +168,8 @@ def _find_ending_runs(
 
 
 def _carry_out(floor: Floor, mover: Actor, step: int) -> bool:
-    """Do what a step does to the floor; whether that is possible."""
+    """Carry out the motions of a step on the floor; return whether all are possible. If one is not, those
+    before it stay on the floor."""
     for motion in [motion for motion in mover.motions if motion.step == step]:
         if not may_move(floor, mover, motion):
             return False

@@ -1,7 +1,8 @@
-"""A plan seen as motions only: what safety reasons about.
+"""The motions of a plan. Deadlock avoidance (``safety``) sees a plan only as motions.
 
-Steps that carry nothing end and give back what they used, so only those can trap anybody that
-change where labware stands, or that leave a door or lid in others' way.
+A step that carries nothing ends and gives back what it used, so it blocks no other run permanently.
+Exceptions are steps after which the run holds something, for example an open door or lid, and steps that set
+a variable of a module.
 """
 
 from __future__ import annotations
@@ -31,57 +32,60 @@ from labos.core.model import Plan, PlanStep, Together
 from labos.planning.held import door_key, hold_key, ready_key, setpoint_key, variable_key
 
 END: Final = "end"
-"""In place of a step's index: a run's end, at which it lets go of all that it holds."""
+"""In place of a step's index: the end of a run, which frees all that the run holds."""
 
 FORKED: Final = "forked"
-"""In place of a step's index in a witness: all that follows an actor's first fork."""
+"""In place of a step's index in a witness: all motions behind an actor's first fork."""
 
 
 MOST_ORDERS = 500
-"""So many orders of one plan are kept with their motions."""
+"""The most orders of one plan whose motions are kept."""
 
 
 class ClosingStep(NamedTuple):
-    """A step of the closing workflow behind a run, or its end."""
+    """A step of the closing workflow that follows a run, or the end of that workflow."""
 
     step: MotionStep
 
 
 MotionStep = int | Literal["end", "forked"] | ClosingStep
-"""What a motion belongs to: a step of the run's plan by its index, the run's end, a fork, or the closing
-workflow behind the run."""
+"""What a motion belongs to: a step of the run's plan (its index), the run's end, a fork, or the closing
+workflow that follows the run."""
 
 Values = Mapping[str, Any]
 
 
 def name_leftover_owner(experiment: Owner) -> Owner:
-    """Whose on a floor is what the runs of an experiment leave when they end: its closing workflow clears it
-    away, and no other run counts on it."""
+    """The owner, on a floor, of the labware that the runs of an experiment leave when they end. The closing
+    workflow clears it away, and no other run relies on it."""
     return Owner(f"left by {experiment}")
 
 
 Settings = tuple[tuple[str, Any], ...]
-"""Variables of modules, by their keys, and values of them."""
+"""Keys of variables of modules, with their values."""
 
 
 class Motion(msgspec.Struct, frozen=True):
-    """One change of the bench: labware from ``source`` (a stack, if ``new``) to ``target``. Or one
-    that moves nothing: what the run holds from then on (``grabs``: key and value, None if it can
-    be shared with nobody), and what it does not hold any more (``frees``). ``uses`` is the module
-    that nobody else may hold then. ``needs``: labware that it has not brought itself has to stand at one of
-    these places, for each need, and is lent to the run; if it ``keeps`` it, for good. ``returns``: what is
-    lent to the run goes back. ``wants`` are variables of modules and the values that they must have, ``sets``
-    those that they have afterwards; doors and lids, which have a rest, are held instead. What ``recovers`` a
-    module asks nobody who holds something. ``back``: it is known how something in flight ended. It failed,
-    and its labware is at ``target`` (as before on a stack, if ``new``) instead of at ``source``; or without a
-    ``target``, ``source`` need not be kept free for it any more. ``heir``: who has what the run had.
-    ``joint`` is the module that does the step for all whose labware is in it at once: they all have to be
-    ready for the same (``wish``). With a step that makes a run ready ``for_step`` another one, that one is
-    named; ``is_last``: no other step is before that one and after this, in this order.
+    """One change of the bench. Labware moves from ``source`` (a stack, if ``new``) to ``target``. Without a
+    ``target`` it moves nothing. ``grabs`` is what the run holds from then on (key and value; value None: not
+    shared with any run), ``frees`` what it no longer holds. No other run may hold the module that it
+    ``uses``.
 
-    What it needs and does beside is as its effect says (see ``effects.Carrying``). All needs of a step are
-    asked before any of it is done, so they stand with its first motion: where it needs labware or room
-    twice, twice. ``hand`` has to be empty."""
+    ``needs``: for each need, labware that the run has not brought has to stand at one of the places. It is
+    lent to the run; with ``keeps`` it is the run's for good. ``returns``: labware that is lent to the run
+    goes back. ``wants`` are the values that variables of modules must have, ``sets`` those that they have
+    afterwards. Doors and lids have a rest position; they are held instead. A motion that ``recovers`` a
+    module may start whatever other runs hold. ``back``: the outcome of a step in flight is known. With a
+    ``target`` it failed: its labware is there (on its stack again, if ``new``) and not at ``source``. Without
+    one, ``source`` is no longer kept free for it. ``heir``: the owner that gets the run's labware.
+
+    ``joint`` is the module that carries the step out at once for all runs with labware in it. All of them
+    have to be ready for the same ``wish``. ``for_step`` is the later joint step for which this one makes the
+    run ready; ``is_last``: of all steps before the joint one, this is the last in this order.
+
+    The other fields are those of the effect (see ``effects.Carrying``). All needs of a step are checked
+    before its first motion, so that motion has them all. A place where labware or room is needed twice is
+    listed twice. ``hand`` has to be empty."""
 
     step: MotionStep
     source: StationName = NOWHERE
@@ -115,8 +119,8 @@ class Motion(msgspec.Struct, frozen=True):
 
     @property
     def changes_anything(self) -> bool:
-        """Whether labware stands elsewhere after it or belongs to somebody else, or somebody holds something
-        else."""
+        """Whether it changes where labware stands or whose it is, what the run holds, or a module's
+        variable."""
         gives = self.frees or self.returns or self.heir
         return bool(self.target or self.grabs or gives or self.needs or self.sets)
 
@@ -130,8 +134,8 @@ def carry(
     room: Sequence[StationName],
     wants: Settings = (),
 ) -> list[Motion]:
-    """The motions of a step that carries something, by a module with this ``hand``. Only at ``guarded``
-    places, hands among them, anybody could be kept from reaching in. The whole step needs ``room``."""
+    """The motions of a step that carries something, by a module with this ``hand``. An arm can be prevented
+    from reaching in only at ``guarded`` places; hands are among them. The whole step needs ``room``."""
     motions: list[Motion] = []
     for what in effects:
         motion = Motion(
@@ -161,8 +165,8 @@ def carry(
 
 
 def _list_needed_places(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
-    """Where labware has to stand before a step, once for each piece. What one effect carries away the next
-    ones find there no more; a plate whose lid is carried stays."""
+    """The places where labware has to stand before a step, once for each piece. Labware that one effect
+    carries away is no longer there for the next effects. A plate whose lid is carried stays."""
     needed: Counter[StationName] = Counter()
     away: Counter[StationName] = Counter()
     for what in effects:
@@ -174,9 +178,10 @@ def _list_needed_places(effects: Sequence[Carrying]) -> tuple[StationName, ...]:
 
 
 class CellRules(msgspec.Struct, frozen=True):
-    """What the motions of steps depend on in a workcell: which of its stations hold which claim (empty: none,
-    but they are hands or behind a door), how its modules' doors and lids stand at rest, at which stations,
-    as plans name them, the modules work on labware, and what they do for several runs at once."""
+    """What the motions of steps depend on in a workcell. ``claims``: the claims of its stations (empty: no
+    claim, but a hand or a station behind a door). ``rests``: the rest positions of its modules' doors and
+    lids. ``nests``: the stations at which modules work on labware, as plans name them. ``joint``: what
+    modules do for several runs at once."""
 
     claims: Mapping[StationName, str] = {}
     rests: Mapping[ModuleName, Values] = {}
@@ -188,9 +193,9 @@ NO_RULES = CellRules()
 
 
 class Orders(msgspec.Struct, frozen=True):
-    """A plan whose steps may be done in more orders than one, and what says how the motions of each of them
-    are. ``steps`` are those of its one way, as they are written; ``behind`` says which of them have to be
-    done before each."""
+    """A plan whose steps have several possible orders, and what the motions of each order depend on.
+    ``steps`` are those of its only way, in the order of the plan. ``behind`` has, for each step, the steps
+    that have to be done before it. ``known`` has the motions of orders that were listed before."""
 
     plan: Plan
     steps: tuple[int, ...]
@@ -199,7 +204,7 @@ class Orders(msgspec.Struct, frozen=True):
     known: dict[tuple[int, ...], tuple[Motion, ...]] = {}
 
     def list_motions(self, order: tuple[int, ...]) -> tuple[Motion, ...]:
-        """What these steps do to the bench in this order, and the run's end."""
+        """The motions of these steps in this order, and of the run's end."""
         found = self.known.get(order)
         if found is None:
             if len(self.known) >= MOST_ORDERS:
@@ -209,9 +214,9 @@ class Orders(msgspec.Struct, frozen=True):
 
 
 class Path(msgspec.Struct, frozen=True):
-    """A plan's motions in an order that its ``after`` relations allow, if nothing of it fails; the steps of
-    the motions that change anything; if it may go more ways than one, the motions on each of them; and its
-    ``orders``, if it goes one way, but in more orders than one."""
+    """The ``motions`` of a plan if nothing fails, in an order that its ``after`` relations allow.
+    ``changing`` are the steps whose motions change something. ``ways``: the motions of each way, if the plan
+    has several ways. ``orders``: set if the plan has one way, but several orders of its steps."""
 
     motions: tuple[Motion, ...]
     changing: frozenset[MotionStep] = frozenset()
@@ -220,7 +225,7 @@ class Path(msgspec.Struct, frozen=True):
 
 
 def make_path(plan: Plan, rules: CellRules = NO_RULES) -> Path:
-    """The motions of a plan; steps in an order in which they may run one after the other."""
+    """The path of a plan; steps are in an order in which they may run one after the other."""
     ways = [(way, list_motions_of_steps(plan, way.steps, rules)) for way in list_ways(plan)]
     (first, motions), *others = ways
     changing = frozenset(motion.step for motion in motions if motion.changes_anything)
@@ -233,7 +238,7 @@ def make_path(plan: Plan, rules: CellRules = NO_RULES) -> Path:
 
 
 def _find_behind(plan: Plan, order: Sequence[int]) -> dict[int, frozenset[int]]:
-    """For each of these steps all that have to be done before it."""
+    """For each of these steps, all of them that have to be done before it."""
     found: dict[int, frozenset[int]] = {}
     for index in order:
         after = [before for before in plan.steps[index].after if before in found]
@@ -242,9 +247,9 @@ def _find_behind(plan: Plan, order: Sequence[int]) -> dict[int, frozenset[int]]:
 
 
 class RunOnBench(msgspec.Struct):
-    """How a run stands on the bench before its next motion: where it has how much labware, how much of that
-    holds each claim, where what it works on is ``lent`` to it, how the doors and lids are that it has left,
-    and what it holds by them or by setpoints."""
+    """What a run has on the bench before its next motion. ``own`` counts its labware by place, ``claims``
+    by claim. ``lent`` has the places where labware is lent to it. ``doors`` has the positions in which it has
+    left doors and lids. ``held`` is what it holds by doors, setpoints and holds."""
 
     own: Counter[StationName] = msgspec.field(default_factory=Counter)
     lent: dict[StationName, bool] = {}
@@ -253,7 +258,7 @@ class RunOnBench(msgspec.Struct):
     held: dict[str, bool] = {}
 
     def carry(self, what: Carrying, claims: Mapping[StationName, str]) -> None:
-        """Something is carried; a plate whose lid is carried belongs to the run too."""
+        """Carry labware. A plate whose lid is carried belongs to the run too."""
         self.claims[claims.get(what.emptied, "")] -= 1
         self.claims[claims.get(what.filled, "")] += 1
         if self.own[what.emptied]:
@@ -266,7 +271,8 @@ class RunOnBench(msgspec.Struct):
     def lend(
         self, places: tuple[StationName, ...], claims: Mapping[StationName, str], *, keeps: bool
     ) -> None:
-        """Labware at one of these places is lent to the run, or given."""
+        """Lend labware at one of these places to the run; if it ``keeps`` it, for good. It counts as the
+        run's only if there is just one place."""
         if not keeps:
             self.lent.update(dict.fromkeys(places, True))
         if len(places) == 1:
@@ -280,7 +286,7 @@ class RunOnBench(msgspec.Struct):
 def list_motions_of_steps(
     plan: Plan, order: Sequence[int], rules: CellRules, before: RunOnBench | None = None
 ) -> tuple[Motion, ...]:
-    """What steps do to the bench, carried out in this order. Changes how the run stands."""
+    """The motions of steps that are carried out in this order. Changes ``before``, what the run has."""
     motions: list[Motion] = []
     before = RunOnBench() if before is None else before
     standing, values, held = before.claims, before.doors, before.held
@@ -296,7 +302,7 @@ def list_motions_of_steps(
         ever.update(held)
         moving = list_carried(step.effects)
         mine = standing[step.module] or (door_key(step.module) in held and not grabs)
-        # Nobody who holds a module in error can go on before it is well: a recovery asks nobody.
+        # A run that holds a module in error needs the recovery, so the recovery does not wait for it.
         user = ModuleName("") if step.recovers else step.module
         uses = user if step.exclusive and not moving else ModuleName("")
         needs, keeps = _list_needs(step, rules.nests, before), changes_labware(step.effects)
@@ -332,7 +338,7 @@ def list_motions_of_steps(
                 held.pop(key, None)
         motions += [_make_ready(plan, index, later, is_last=last) for later, last in behind.get(index, ())]
     ever.update((ready_key(plan.steps[later].module), True) for each in behind.values() for later, _ in each)
-    if ever or lent:  # also of what it has let go of before: steps beside each other may end in any order
+    if ever or lent:  # also frees what it freed before: parallel steps may end in any order
         motions.append(Motion(END, frees=tuple(ever), returns=lent))
     return tuple(motions)
 
@@ -340,8 +346,8 @@ def list_motions_of_steps(
 def _find_joint_behind(
     plan: Plan, order: Sequence[int], joint: Mapping[ModuleName, Together]
 ) -> dict[int, list[tuple[int, bool]]]:
-    """By the steps before them, the steps that modules do for several runs at once, and whether no other step
-    before them comes later in this order."""
+    """For each step, the joint steps (for several runs at once) that come directly after it. True if no other
+    step directly before the joint step comes later in this order."""
     found: dict[int, list[tuple[int, bool]]] = {}
     place = {step: position for position, step in enumerate(order)} if joint else {}
     for index in place:
@@ -355,7 +361,7 @@ def _find_joint_behind(
 
 
 def _make_ready(plan: Plan, index: int, later: int, *, is_last: bool) -> Motion:
-    """With a step a run becomes ready for a later one, if all others before that are done."""
+    """The motion by which a step makes a run ready for a later one, if all others before that are done."""
     step = plan.steps[later]
     grabs = ((ready_key(step.module), find_planned_wish(plan, step)),)
     return Motion(index, grabs=grabs, for_step=later, is_last=is_last)
@@ -364,7 +370,8 @@ def _make_ready(plan: Plan, index: int, later: int, *, is_last: bool) -> Motion:
 def _list_needs(
     step: PlanStep, nests: Mapping[ModuleName, tuple[StationName, ...]], before: RunOnBench
 ) -> tuple[tuple[StationName, ...], ...]:
-    """Where a step needs labware that its run has not brought there, or changes what is lent to it."""
+    """The places where a step needs labware that its run has not brought there, or changes labware that is
+    lent to the run; one group of places for each need."""
     found: list[tuple[StationName, ...]] = []
     for effect in step.effects:
         if isinstance(effect, Needs):
@@ -377,14 +384,14 @@ def _list_needs(
 
 
 def is_joint(joint: Mapping[ModuleName, Together], step: PlanStep) -> bool:
-    """Whether a module does a step for several runs at once."""
+    """Whether a module carries a step out for several runs at once."""
     return step.module in joint and step.action in joint[step.module].actions
 
 
 def _find_holds(
     plan: Plan, index: int, after: ModuleSettings, *, away: bool, held: Mapping[str, bool]
 ) -> tuple[Settings, tuple[str, ...]]:
-    """What a run comes to hold with a step, and what it lets go of with it."""
+    """What a run begins to hold with a step (keys and values), and what it frees with it (keys)."""
     step = plan.steps[index]
     door = door_key(step.module)
     grabs: list[tuple[str, Any]] = []
@@ -404,5 +411,5 @@ def _find_holds(
 
 
 def _drop_resting_values(module: ModuleName, values: Values, rest: Values) -> Settings:
-    """Values of a module's variables, without its doors and lids."""
+    """The values of a module's variables by key, without its doors and lids."""
     return tuple((variable_key(module, name), value) for name, value in values.items() if name not in rest)

@@ -1,10 +1,10 @@
-"""Runs inside that others have overtaken too often.
+"""Runs inside that younger runs have overtaken too often.
 
-Priority and fair share decide who goes first, and age only between equals. So that nobody stands for ever
-while younger runs of more priority pass, each run inside counts the younger ones that have started a
-step on what its own waiting step needs. A run that ``PATIENCE`` of them have overtaken goes before everybody
-without a window, and no younger run is let in that uses one of its modules, or of the places that its step
-waits for, until it has started a step.
+Priority and fair share decide which run goes first; age decides only between equal runs. Without a limit, a
+run could wait without end while younger runs of higher priority pass. So each run inside counts the younger
+runs that have started a step on what its own waiting step needs. After ``PATIENCE`` such runs, it goes before
+all runs without a deadline of a window. Until it has started a step, some younger runs are not admitted:
+those that use one of its modules, or of the places that its step waits for.
 """
 
 from __future__ import annotations
@@ -34,14 +34,16 @@ NOT_OVERTAKEN = (
     reasons.StillToCome,
     reasons.ForOthers,
 )
-"""Waits that no other run's start makes longer: for a time, or for the run itself."""
+"""The reasons for a wait that no start of another run makes longer: it is a wait for a time, or for the run
+itself."""
 
 MOST_SHAPES = 4096
-"""The keys of plans of so many shapes are remembered."""
+"""The most shapes of plans whose keys are remembered."""
 
 
 class OvertakeCounts:
-    """How many younger runs have overtaken each run inside. Counts only; they begin anew with the kernel."""
+    """How many younger runs have overtaken each run inside. It only counts; the counts begin at zero when the
+    kernel starts."""
 
     def __init__(self) -> None:
         self._overtaken: dict[RunId, dict[RunId, bool]] = {}
@@ -52,7 +54,8 @@ class OvertakeCounts:
         return len(self._overtaken.get(run, ())) >= PATIENCE
 
     def count_start(self, state: LabState, run: RunState, step: int, sleepers: Sleepers) -> None:
-        """Count a start against the older runs that wait for what it takes."""
+        """Count a start for the older runs inside that wait for what it takes. The count of the run that
+        starts is reset."""
         plan = state.runs.plan_of(run)
         self._overtaken.pop(run.id, None)
         takes: frozenset[str] | None = None
@@ -68,19 +71,19 @@ class OvertakeCounts:
                     break
 
     def overtake(self, elder: RunId, younger: RunId) -> None:
-        """A younger run has started a step on what an older one waits for."""
+        """Note that a younger run has started a step on what an older run waits for."""
         self._overtaken.setdefault(elder, {})[younger] = True
 
     def forget(self, run: RunId) -> None:
-        """A run has ended."""
+        """Forget a run that has ended."""
         self._overtaken.pop(run, None)
 
     def forget_keys(self) -> None:
-        """The bench of a workcell is another than it was."""
+        """Forget the keys of plans, because the bench of a workcell has changed."""
         self._keys.clear()
 
     def _list_all_keys(self, state: LabState, run: RunState) -> frozenset[str]:
-        """The keys of all that the steps of a run need."""
+        """The keys of everything that the steps of a run need."""
         shape, steps = state.runs.plans[run.plan].shape, state.runs.plan_of(run).steps
         found = self._keys.get(shape)
         if found is None:
@@ -91,8 +94,9 @@ class OvertakeCounts:
         return found
 
     def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
-        """The run inside for whose sake this one is not let in; None if there is none. Where nothing moves
-        nobody is kept out: what the elder waits for may come from the one that waits."""
+        """The run inside for which this run is not admitted; None if there is none. While nothing moves in
+        the workcell, no run is kept out, because the older run may wait for something that this run
+        brings."""
         plan = state.runs.plan_of(run)
         flying = state.actions.list_in_cell(plan.workcell) if self._overtaken else ()
         if all(action.status == ActionStatus.UNKNOWN for action in flying):
@@ -115,7 +119,7 @@ class OvertakeCounts:
 
 
 def _list_overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
-    """The steps of a run that wait for what others have."""
+    """The steps of a run that wait for something that other runs have."""
     return [step for step, waits in sleepers.find_waits(run).items() if any(map(_is_overtakable, waits))]
 
 

@@ -1,12 +1,12 @@
 """Chooses which waiting run starts next, with a look ahead (the pilot method).
 
-Where labware stays on its module until the next one is free, the run that starts now may block a longer run
-much later. So before a run starts, the workcell is played forward in a simplified model (``outline``): once
-with each of the first runs that may start, and once with none of them. The run starts with which all known
-work ends soonest. Nothing is kept from one decision to the next.
+If labware stays on its module until the next one is free, the run that starts now may block a longer run
+much later. So before a run starts, the workcell is simulated in a simplified model (``outline``): once with
+each of the first runs that may start, and once with none of them. Then the run starts for which all known
+work ends soonest. No result is kept from one decision to the next.
 
-It chooses only between runs of equal rank: of the same priority, and of users with the same share. It does
-not choose if all runs are of one kind, or if their later steps are not known well enough (see ``differ``).
+It chooses only between runs of equal rank: the same priority, and users with the same share. It does not
+choose if all runs are of one kind, or if their later steps are not known (see ``are_different``).
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from labos.planning.outline import Outline, Ways
 from labos.planning.touch import cell_key, near_key
 
 MOST_WAITING = 8
-"""So many runs that wait can take part in a play. If more of equal rank wait, there is no look ahead: when
-all of them end depends little on which of them is next."""
+"""The most waiting runs in a simulation. If more of equal rank wait, there is no look ahead: the end of all
+work then depends little on which run is next."""
 
 MOST_OPTIONS = 4
-"""So many of them are tried; with nobody for now, a decision takes one play more than that."""
+"""The most runs that are tried. In one more simulation, no run starts for now."""
 
 MARGIN = 0.02
-"""A run may start before its second place is free if all work then ends sooner by this part of the time that
-is left."""
+"""A run may start before its second place is free, if all work then ends sooner by at least this part of the
+time that is left."""
 
 
 class Candidate(msgspec.Struct, frozen=True):
-    """A run with one of its plans, and the step with which it may start. ``early``: by the forecast, the
-    place after that step is not free soon."""
+    """A run with one of its plans, and the step with which it may start. ``early``: according to the
+    forecast, the place after that step is not free soon."""
 
     run: RunState
     step: int
@@ -47,18 +47,18 @@ class Candidate(msgspec.Struct, frozen=True):
 
 
 Value = tuple[int, int]
-"""How good a play was: less is better (see ``Outline.value``)."""
+"""The result of a simulation: less is better (see ``Outline.value``)."""
 
 
 class Pilot:
-    """Chooses which run starts. ``plays`` counts."""
+    """Chooses which run starts. ``plays`` is the number of simulations for choices."""
 
     def __init__(self) -> None:
         self._ways: dict[str, Ways] = {}
         self.plays = 0
 
     def forget(self, cell: str) -> None:
-        """The bench of a workcell has changed."""
+        """Forget what is known of a workcell, because its bench has changed."""
         self._ways.pop(cell, None)
 
     def choose(
@@ -69,15 +69,15 @@ class Pilot:
         now: int,
         find_candidate: Callable[[RunState], Candidate | None],
     ) -> Candidate | Wait:
-        """The run that starts now: ``first``, if all else is equal, or another candidate; or what ``first``
-        waits for, if none starts."""
+        """The run that starts now: ``first`` if all results are equal, or another candidate. If no run should
+        start now, the wait of ``first``."""
         cell = state.runs.plan_of(first.run).workcell
         waiting = [first.run, *others]
         base = len(state.runs.list_inside(cell))
         outline = Outline(state, cell, waiting, now, self._ways.setdefault(cell, Ways()))
         if not outline.is_safe:
             return _make_wait(state, outline, cell) if first.early else first
-        plays: list[tuple[Value, int | None]] = []  # without a number: no run starts for now
+        plays: list[tuple[Value, int | None]] = []  # None as number: no run starts for now
         for number, run in enumerate(waiting):
             step = first.step if not number else state.runs.plans[run.plan].starts[0]
             witness = None
@@ -86,7 +86,7 @@ class Pilot:
             if witness is not None:
                 plays.append((self._play(outline, base + number, step, witness), number))
         if not first.early and (not plays or plays[0][1]):
-            return first  # the outline does not know how it can be let in
+            return first  # the outline finds no way to admit it
         if outline.flying and state.actions.is_any_moving(cell):
             later = outline.copy()
             later.advance()
@@ -110,14 +110,14 @@ class Pilot:
         return early or first
 
     def _play(self, outline: Outline, who: int, step: int, witness: list[int]) -> Value:
-        """How a play goes in which this run starts now."""
+        """The result of a simulation in which this run starts now."""
         self.plays += 1
         play = outline.copy()
         play.start(who, step, witness)
         return play.go_on().value
 
     def _explain(self, state: LabState, outline: Outline, who: int, step: int, cell: str) -> Wait:
-        """Why a run should not start now: the started run that would wait longest for it."""
+        """The wait of a run that should not start now. It names the started run that would wait longest."""
         play = outline.copy()
         seen: dict[tuple[int, int], tuple[int, int]] = {}
 
@@ -145,15 +145,16 @@ class Pilot:
 
 
 def _make_wait(state: LabState, outline: Outline, cell: str, why: AnyReason | None = None) -> Wait:
-    """A wait that ends when anything changes that the look ahead depends on."""
+    """A wait that ends when anything changes on which the look ahead depends."""
     modules = {step.module: True for run in outline.runs for step in state.runs.plan_of(run).steps}
     on = (cell_key(cell), near_key(cell), *map(module_key, modules))
     return Wait(why or reasons.SoonerLater(), on)
 
 
 def are_different(state: LabState, runs: Sequence[RunState], run: RunState) -> bool:
-    """Whether some runs are of another kind than this one, and the later steps of all are known: there are no
-    windows, no experiment that may submit more runs, and no waiting run with a choice of modules."""
+    """Whether some runs are of another kind than this one, and the later steps of all are known. That is so
+    without windows, without an experiment that may submit more runs, and without a waiting run with a choice
+    of modules."""
     return any(other.plan != run.plan for other in runs) and not any(
         other.experiment or state.runs.plans[other.plan].windowed or (other.choices and not other.has_started)
         for other in (*runs, run)

@@ -1,4 +1,4 @@
-"""Runs as a rehearsal has them: which steps they have to start, and by when."""
+"""Runs in a rehearsal: which steps they have to start, and by when."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ Step = tuple[str, int]
 """A run and one of its steps."""
 
 Who = tuple[str, int | None]
-"""A step of a run, or a run and no step: labware that it has put down before, or a module that it holds."""
+"""A run with one of its steps, or with None: for labware that it put down before, or a module that it
+holds."""
 
 NOBODY: Who = ("", None)
-"""Nobody who could be told to wait or to go: labware of no run, a module that is down."""
+"""No run that could wait or make way: for labware of no run, or a module that is down."""
 
 
 def find_step(who: Who) -> Step | None:
-    """The step that somebody stands for; None if it is none in particular."""
+    """The run and step of ``who``; None if it names no step."""
     name, index = who
     return (name, index) if index is not None else None
 
@@ -38,8 +39,9 @@ FAR = 2**62
 
 
 def find_chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
-    """The steps that must follow in time once these have started: those whose clock they start, what
-    has to be done before, and what that obliges to in turn. Those that have started are not among them."""
+    """The pending steps that must follow in time once the steps ``first`` have started. These are the steps
+    whose clocks they start, and all steps that have to be done before those. Clocks that already run, and
+    clocks that these steps start in turn, count as well."""
     found: set[int] = set()
     begun = {index for index, s in enumerate(run.steps) if s.status == IN_FLIGHT or s.ended_at is not None}
     begun.update(first)
@@ -58,13 +60,15 @@ def find_chained(run: RunState, plan: Plan, first: Iterable[int]) -> set[int]:
 
 
 def _starts_clock(run: RunState, window: Window, begun: set[int]) -> bool:
-    """Whether a window's clock runs once these steps have been started."""
+    """Whether a window's clock runs or will run, if these steps have begun. A clock that a step of another
+    run starts has to run already."""
     return find_anchor(run, window) is not None if window.of else window.anchor in begun
 
 
 class Player:
-    """A run as it goes on. ``left`` are the steps that have to be started before the play is over,
-    ``ends`` when those in flight will have ended (UTC ns), ``free`` whether it may start others beside."""
+    """A run that continues in a rehearsal. ``left`` are the steps that have to start before the rehearsal is
+    over. ``ends`` are the expected ends of steps that have started (UTC ns). ``free``: it may also start
+    other steps."""
 
     def __init__(
         self, state: LabState, run: RunState, ends: dict[int, int], *, free: bool, first: Iterable[int] = ()
@@ -84,7 +88,8 @@ class Player:
                 self._set_due(index)
 
     def list_turns(self) -> Iterator[int]:
-        """The steps whose turn it is."""
+        """The pending steps whose predecessors are done. If the run is not ``free``, only those in
+        ``left``."""
         for index in list(self._open):
             if not self.free and index not in self.left:
                 continue
@@ -95,7 +100,7 @@ class Player:
                 yield index
 
     def may_start_at(self, index: int) -> int:
-        """When its windows let a step start (UTC ns)."""
+        """The earliest time at which its windows let a step start (UTC ns; 0: at once)."""
         return find_earliest_start(self._state, self.run, index, self.ends)
 
     def start(self, index: int, end: int) -> None:
@@ -113,7 +118,7 @@ class Player:
                 self._set_due(follower)
 
     def _set_due(self, index: int) -> None:
-        """Work out by when a step and those before it have to start."""
+        """Compute by when a step, and those before it, have to start."""
         due = find_deadline(self._state, self.run, index, self.ends)
         if due is None:
             return

@@ -1,8 +1,8 @@
-"""Suggested orders that are followed to the letter.
+"""Suggested orders that are followed exactly.
 
-A suggested order is rehearsed once to its end, with every run that it names. If that keeps all windows, each
-step may start at its suggested time for as long as all goes as suggested: everything has started that
-should have, and nothing in flight is behind. Then nothing has to be rehearsed again at each decision.
+A suggested order is rehearsed once to its end, with every run that it names. If all windows are kept, each
+step may start at its suggested time while all goes as suggested. All goes as suggested if each step has
+started at its time, and no step in flight is late. Then no further rehearsals are necessary.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ from labos.planning.scene import Scene
 from labos.planning.suggested import bring_forward, find_order, find_suggested_times
 
 EXACT_S = 0.01
-"""What starts or ends at most so much later (lab seconds) than was suggested goes as suggested."""
+"""The largest delay of a start or an end that still counts as suggested (lab seconds)."""
 
 
 class _Rehearsed(msgspec.Struct):
-    """An order, its runs, and whether it keeps all windows: None if it was not rehearsed yet."""
+    """An order, its runs, and whether it keeps all windows (None: not rehearsed yet). False also if none of
+    its runs has windows."""
 
     order: OrderSuggested
     runs: frozenset[RunId]
@@ -37,15 +38,15 @@ class _Rehearsed(msgspec.Struct):
 
 
 class PunctualOrders:
-    """The suggestion of each workcell, rehearsed once; else the lab's ``own`` order where clocks run."""
+    """The suggestion for each workcell, or else the lab's ``own`` order for windows; rehearsed once."""
 
     def __init__(self, own: Mapping[str, OrderSuggested] = MappingProxyType({})) -> None:
         self._own = own
         self._known: dict[str, _Rehearsed] = {}
 
     def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
-        """When each step starts (UTC ns) that an order names, if it keeps all windows and all goes as
-        suggested; None if not, or if none of its runs has windows."""
+        """When each pending step of an order starts (UTC ns), if the order keeps all windows and all goes as
+        suggested. None if not, if there is no order, or if none of its runs has windows."""
         order = find_order(state, self._own, cell, now)
         if order is None:
             return None
@@ -68,14 +69,15 @@ class PunctualOrders:
 def _goes_as_suggested(
     state: LabState, cell: str, runs: frozenset[RunId], times: dict[tuple[RunId, int], int], now: int
 ) -> bool:
-    """Whether all has started that should have, nothing in flight is behind, no clock runs out before its
-    step's time, and nobody is inside who was not reckoned with."""
+    """Whether each step has started at its time, no step in flight is late, and no clock runs out before its
+    step's time. All runs inside have to be in the order, and none of its runs may be paused, unapproved or
+    ending."""
     slack = convert_lab_s(state, EXACT_S)
     late = now - slack
     if min(times.values()) < late or any(run.id not in runs for run in state.runs.list_inside(cell)):
         return False
     if any(times[who] > at + slack for who, at in bring_forward(state, times, now).items()):
-        return False  # what ended early has started a clock that does not run for so long
+        return False  # a step ended early, and the clock that it started runs out before
     if any(find_holds(run) or run.is_ending for run in map(state.runs.get, runs) if run is not None):
         return False
     for action in state.actions.list_in_cell(cell):
@@ -89,7 +91,8 @@ def _goes_as_suggested(
 
 
 def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
-    """Whether every step of these runs starts at its time, and nobody is late, if all of it is rehearsed."""
+    """Whether every step of these runs starts at its time and no window is missed, in a rehearsal of them
+    all. False also if a step that is left has no time."""
     scene = Scene(state, cell, now)
     ends = scene.list_ends()
     players: list[Player] = []

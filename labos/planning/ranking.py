@@ -1,6 +1,7 @@
-"""Who goes first: the order in which steps and waiting runs are tried.
+"""The order in which steps and waiting runs are tried.
 
-The rules are listed in ``docs/scheduling.md`` (*Which step goes first*)."""
+The rules are listed in ``docs/scheduling.md`` (*Which step goes first*).
+"""
 
 from __future__ import annotations
 
@@ -22,8 +23,7 @@ from labos.planning.work_behind import WorkBehind
 
 
 class Spot(msgspec.Struct, frozen=True):
-    """Something to look at: a step of an active run, or a bundle of runs that wait and which of
-    them is first."""
+    """Something that may start: a step of a started run, or a bundle of waiting runs, with its first run."""
 
     run: RunState
     step: int
@@ -31,7 +31,7 @@ class Spot(msgspec.Struct, frozen=True):
 
 
 class Rank(msgspec.Struct, frozen=True, order=True):
-    """The less, the sooner; a later field counts where all before it are equal."""
+    """The spot with the lowest rank goes first. A field decides only if all fields before it are equal."""
 
     deadline: int
     is_patient: bool
@@ -47,7 +47,7 @@ class Rank(msgspec.Struct, frozen=True, order=True):
 
 
 class Ranking:
-    """Ranks what may start. What it has worked out counts for one turn (``forget``)."""
+    """Ranks what may start. Computed values are valid for one turn (``forget``)."""
 
     def __init__(self, reservations: Reservations, adviser: Adviser) -> None:
         self.behind = WorkBehind()
@@ -58,7 +58,7 @@ class Ranking:
         self._shares: dict[str, tuple[float, float]] = {}
 
     def forget(self) -> None:
-        """A new turn begins."""
+        """Drop the computed values: a new turn begins."""
         self._shares.clear()
         self._due_dates.forget()
         self._setup_order.forget()
@@ -71,9 +71,9 @@ class Ranking:
         return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now, turns))
 
     def _swap_turns(self, state: LabState, spots: Sequence[Spot]) -> dict[RunId, int]:
-        """Which place in the line some runs inside take that have another place by age. Runs of one plan that
-        are equally old do the same, so which of them ends first makes no difference: the one that is furthest
-        behind goes first."""
+        """The positions that equal runs inside take instead of their own. It makes no difference which of
+        several equally old runs of one plan ends first. So the one with the most work left takes the position
+        of the oldest."""
         runs = {spot.run.id: spot.run for spot in spots}
         turns: dict[RunId, int] = {}
         if len(runs) < 2:
@@ -93,7 +93,8 @@ class Ranking:
         return turns
 
     def find_first(self, state: LabState, runs: Sequence[RunState], now: int) -> RunState | None:
-        """Who goes first among waiting runs of the same needs and priority; of equal ones the oldest."""
+        """The run that goes first among waiting runs with the same needs and priority. Among equal runs it is
+        the oldest. None if there are no runs."""
         groups = [self._rank_group(state, run, now) for run in runs]
         least = min(groups, default=None)
         first = [run for run, group in zip(runs, groups, strict=True) if group == least]
@@ -102,13 +103,13 @@ class Ranking:
         return min(first, key=lambda run: (self._rank_own(state, run, None), run.position))
 
     def rank_waiting(self, state: LabState, run: RunState, now: int) -> tuple[object, ...]:
-        """The rank of a waiting run among those of the same needs and priority, without its age. The least
-        goes first."""
+        """The rank of a waiting run among those with the same needs and priority, without its age. The lowest
+        rank goes first."""
         return *self._rank_group(state, run, now), *self._rank_own(state, run, None)
 
     def _rank_group(self, state: LabState, run: RunState, now: int) -> tuple[bool, float, float]:
-        """Runs of urgent campaigns (False) go first, then by the share that the group has had, and the user
-        within it."""
+        """Runs of urgent campaigns (False) go first. Then the used share of the group decides, then that of
+        the user within it."""
         return not is_urgent(state, run, now), *self._find_share_used(state, now, run.user)
 
     def _rank(
@@ -143,12 +144,12 @@ class Ranking:
         )
 
     def _find_share_used(self, state: LabState, now: int, user: str) -> tuple[float, float]:
-        """The lab time that a user's group and the user have had for their weights."""
+        """The used lab time of a user's group, and of the user, each divided by the weight."""
         share = self._shares.get(user)
         if share is None:
             share = self._shares[user] = state.shares.find_share_used(user, now)
         return share
 
     def _rank_own(self, state: LabState, run: RunState, step: int | None) -> tuple[float, int]:
-        """What goes before age among the runs of one user: due dates, and what need not be set up."""
+        """What decides before age among the runs of one user: the due date, then the set-up time."""
         return self._due_dates.rank(state, run), self._setup_order.rank(state, run, step)

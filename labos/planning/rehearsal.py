@@ -1,8 +1,8 @@
-"""What would happen from now on if all steps took their nominal time: a workcell played forward.
+"""Simulates a workcell from now on, with the usual duration of each step.
 
-Players are runs with steps that have to be started by a time (their windows' clocks run), and runs
-that have to make room for them. Everybody else stays where they are. A step starts as soon as it can, the
-most urgent one first, unless it is told to wait (``Advice``).
+Players are runs with steps that have to start by a deadline, because clocks of their windows run, and runs
+that have to make room for them. All other runs start nothing. A step starts as soon as it can, the most
+urgent one first, unless the ``Advice`` makes it wait.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from labos.planning.scene import Scene
 
 
 class Advice(msgspec.Struct, frozen=True):
-    """Which steps are not to start before another one has started, or before a time (UTC ns), and which
-    runs go on to their end to make room."""
+    """What a simulation does differently. A step starts only after other steps have started (``behind``), or
+    not before a time (UTC ns). Runs that are ``leaving`` go on to their end to make room."""
 
     behind: dict[Step, tuple[Step, ...]] = {}
     not_before: dict[Step, int] = {}
     leaving: frozenset[str] = frozenset()
 
     def put_behind(self, step: Step, other: Step) -> Advice:
-        """The same, but a step waits until another one has started."""
+        """The same advice, but a step waits until another one has started."""
         behind = {**self.behind, step: (*self.behind.get(step, ()), other)}
         return msgspec.structs.replace(self, behind=behind)
 
     def put_off(self, step: Step, until: int) -> Advice:
-        """The same, but a step does not start before a time."""
+        """The same advice, but a step does not start before a time (UTC ns)."""
         return msgspec.structs.replace(self, not_before={**self.not_before, step: until})
 
     def let_leave(self, run: str) -> Advice:
-        """The same, but a run goes on to its end."""
+        """The same advice, but a run goes on to its end."""
         return msgspec.structs.replace(self, leaving=self.leaving | {run})
 
 
@@ -46,11 +46,12 @@ NO_ADVICE = Advice()
 
 
 class RehearsalResult(msgspec.Struct):
-    """How it went: when each step started (UTC ns); which windowed steps were late, and by how much (ns;
-    FAR: they never started), the first one first; for whom each step had to wait that could not start at
-    once; by when the windowed steps had to start. ``trap`` is the first start after which some runs could
-    never come to their ends, and which runs these are. ``tangle`` is a step whose clock has not begun, but
-    which could not follow in time after all these starts."""
+    """The result of a simulation. ``starts`` are when steps started (UTC ns). ``late`` are windowed steps
+    that started after their deadline, and by how much (ns), the earliest deadline first. Steps that had to
+    start but never did are in it too, with FAR. ``blame`` lists what a step waited for that could not start
+    at once. ``due`` are the deadlines of windowed steps (UTC ns). ``trap`` is the first start after which
+    some runs could never end, with these runs. ``tangle`` is a step whose clock has not begun, but which
+    would be late after all these starts."""
 
     starts: dict[Step, int] = {}
     late: dict[Step, int] = {}
@@ -63,8 +64,8 @@ class RehearsalResult(msgspec.Struct):
 def play(
     scene: Scene, players: Iterable[Player], advice: Advice, forced: Step | None = None
 ) -> RehearsalResult:
-    """Play a scene forward until nothing has to be started any more, or nothing goes on. ``forced`` starts
-    at once, whatever the advice. Changes scene and players."""
+    """Simulate a scene until no step has to start any more, or nothing more can happen. ``forced`` starts at
+    once, whatever the advice says. Changes the scene and the players."""
     cast = {player.name: player for player in players}
     outcome, now = RehearsalResult(), scene.now
 
@@ -104,7 +105,8 @@ def play(
 def _start_all(
     scene: Scene, cast: dict[str, Player], advice: Advice, outcome: RehearsalResult, now: int, start: Any
 ) -> list[int]:
-    """Start what can start; returns when the next ones may, as far as that is a question of time only."""
+    """Start all steps that can start. Returns the times at which further steps may start (UTC ns), for those
+    that wait only for a time."""
     later: list[int] = []
     moved = True
     while moved:

@@ -1,15 +1,16 @@
-"""Room kept for steps whose clock runs.
+"""Reservations: what is kept free for steps with a running clock.
 
-From the start of the step that starts a window's clock to the start of the windowed step, the
-modules, stations and zones that the run needs on its way there are reserved: whoever would still occupy
-one of them when the run has to have it, by nominal durations, waits. A reservation is soft. It ends
-with its window; it never stops its own run or experiment, nor anybody who has to move first so that
-its run can; and of two that want the same, the earlier deadline goes first. So the reservation with
-the earliest deadline stops nobody on whom it depends, and nobody stands still for longer than a
-window.
+A reservation lasts from the start of the step that starts a window's clock to the start of the windowed step.
+It covers the modules, stations and zones that the run needs on the way to that step. A start of another run
+waits if it would still occupy one of them at the latest time at which the run needs it.
 
-Reservations keep a margin, for durations scatter. What keeps a window by nominal durations, also where
-there is no room for a margin, is the plan in ``keeping``: what that has start now goes before all of them.
+A reservation is soft. It ends with its window. It never stops its own run or experiment, or a run that has to
+move first so that its own run can continue. If two reservations need the same resource, the one with the
+earlier deadline goes first. So the reservation with the earliest deadline stops no run on which it depends,
+and no run waits for longer than a window.
+
+Durations vary, so reservations keep a margin: they count the longest durations. The plan in ``keeping`` keeps
+windows by usual durations, also where there is no room for a margin. Its starts go before all reservations.
 """
 
 from __future__ import annotations
@@ -53,11 +54,12 @@ from labos.planning.taken import find_station
 from labos.planning.touch import cell_key, window_key
 
 NEVER = 2**63 - 1
+"""A time that never comes (UTC ns)."""
 
 
 class Need(msgspec.Struct, frozen=True):
-    """A step needs a resource (the key of a module, station or zone) at ``latest``, will have it at
-    ``release`` at the earliest, and keeps it for ``length`` (all UTC ns)."""
+    """A step needs a resource (the key of a module, station or zone): from ``release`` at the earliest, from
+    ``latest`` at the latest (both UTC ns), and for ``length`` (ns)."""
 
     resource: str
     step: int
@@ -67,8 +69,8 @@ class Need(msgspec.Struct, frozen=True):
 
 
 class Reservation(msgspec.Struct, frozen=True):
-    """What a run needs to start ``step`` by its deadline. ``chain`` are the steps that have still to
-    be started, the windowed one last."""
+    """What a run needs so that ``step`` starts by its ``deadline`` (UTC ns). ``chain`` are the steps that
+    have not started yet, the windowed one last. ``position`` is the run's, for its age."""
 
     run: RunId
     step: int
@@ -79,7 +81,7 @@ class Reservation(msgspec.Struct, frozen=True):
 
 
 class AskedStart(msgspec.Struct, frozen=True):
-    """The start of a step that is judged, and what is reserved in its workcell."""
+    """A start of a step that is checked, and the open reservations of its workcell."""
 
     state: LabState
     run: RunState
@@ -90,8 +92,8 @@ class AskedStart(msgspec.Struct, frozen=True):
 
 
 class Reservations:
-    """The reservations of one state after the other, by workcell, worked out once for each position of the
-    log."""
+    """The reservations of one state after the other. They are computed once for each workcell and position of
+    the log. ``refusals`` counts the starts that had to wait."""
 
     def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
         self.refusals = 0
@@ -104,7 +106,8 @@ class Reservations:
         self._helpers_at: tuple[int, int] | None = None
 
     def open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
-        """Those of a workcell (none named: of all) whose window is open, the earliest deadline first."""
+        """The reservations whose window is open, the earliest deadline first: those of a workcell, or of all
+        workcells if none is named."""
         if not cell:
             found = [one for name in state.runs.windowed_in for one in self.open(state, now, name)]
             return sorted(found, key=_sort_key)
@@ -116,7 +119,8 @@ class Reservations:
         return [found for found in self._all[cell] if now <= found.deadline]
 
     def find_latest_start(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
-        """By when a step (of a queued run: its first one) has to start; NEVER if nothing presses."""
+        """The time by which a step has to start (UTC ns); NEVER if it has no deadline. For a queued run,
+        ``step`` is None, and the earliest such time of its steps counts."""
         if run.id not in state.runs.windowed:
             return NEVER
         cell = state.runs.plan_of(run).workcell
@@ -129,7 +133,7 @@ class Reservations:
 
     @contextmanager
     def forget_afterwards(self) -> Iterator[None]:
-        """What is found out meanwhile is forgotten: who only asks changes nothing that is decided later."""
+        """Forget afterwards what ``windows`` finds here: a question must not change a later decision."""
         kept, self.windows = self.windows, Windows(self._own)
         self.windows.remember(kept)
         try:
@@ -138,8 +142,8 @@ class Reservations:
             self.windows = kept
 
     def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
-        """The wait of a start for what is reserved for others; None if it may go ahead. The rules must allow
-        it."""
+        """What a start waits for because of reservations and windows; None if it may go ahead. The rules must
+        allow the start."""
         planned = self.windows.find_planned_start(state, run, step, now, safety)
         if planned <= now:
             return None
@@ -149,10 +153,10 @@ class Reservations:
         wait = wait or self.windows.check_start(state, run, step, now, safety)
         self.refusals += wait is not None
         if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
-            return msgspec.structs.replace(wait, until=planned)  # that time comes without an event
+            return msgspec.structs.replace(wait, until=planned)  # no event marks that time
         return wait
 
-    # -- runs that a start would be in the way of ----------------------------------------------
+    # -- starts that would block a reservation -------------------------------------------------
 
     def _check_reservations(self, asked: AskedStart) -> Wait | None:
         state, run, now = asked.state, asked.run, asked.now
@@ -170,7 +174,8 @@ class Reservations:
         return None
 
     def _helps_reservation(self, asked: AskedStart, reservations: Sequence[Reservation]) -> bool:
-        """Whether a start serves one of these reservations: it is on its way, or out of its way."""
+        """Whether a start helps one of these reservations: its step is in the chain, or its run has to move
+        out of the way first."""
         for found in reservations:
             if found.run == asked.run.id:
                 if asked.step in found.chain:
@@ -203,11 +208,11 @@ class Reservations:
             until=min([*times, found.deadline + 1]),
         )
 
-    # -- clocks that had better not be started -------------------------------------------------
+    # -- clocks that should not start yet ------------------------------------------------------
 
     def _check_in_time(self, asked: AskedStart) -> Wait | None:
-        """A step that would start a clock waits while those that run already, and what is in flight,
-        leave no room for the step that has to follow in time."""
+        """What a step waits for that would start a clock. It waits while the reservations of other runs and
+        the actions in flight leave no room for the step that has to follow in time."""
         state, run, step, now = asked.state, asked.run, asked.step, asked.now
         plan = state.runs.plans[run.plan]
         followers = list_clocked(plan, step)
@@ -235,7 +240,8 @@ class Reservations:
                 key = plan.plan.steps[index].key
                 end = max(job.length for job in flying) + now
                 _, name = split_key(resource)
-                # It need not have ended, nor its labware have left: only soon enough for who follows.
+                # The start need not wait until the action ends and its labware leaves. It is enough if both
+                # happen before the following step needs the module.
                 leaves = end + _measure_clearing(state, resource)
                 again = max(now + convert_lab_s(state, CALM_S), now + _measure_lateness(ours, leaves))
                 return Wait(
@@ -243,7 +249,7 @@ class Reservations:
                 )
         return None
 
-    # -- working out ---------------------------------------------------------------------------
+    # -- computing -----------------------------------------------------------------------------
 
     def _work_out(self, state: LabState, now: int, cell: str) -> None:
         all_ = self._all[cell] = []
@@ -271,7 +277,7 @@ def _sort_key(found: Reservation) -> tuple[int, int, int]:
 
 
 def _find_anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:
-    """When the steps that start a step's clocks should end, of those that are in flight."""
+    """The expected ends (UTC ns) of the steps in flight that start clocks of a step."""
     windows = state.runs.plan_of(run).steps[index].windows
     anchors = {window.anchor for window in windows if window.anchor is not None}
     if not any(run.steps[step].status == IN_FLIGHT for step in anchors if run.has_started):
@@ -284,7 +290,7 @@ def _find_anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[
 
 
 def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
-    """What is being carried out in a workcell, and when it should end (UTC ns)."""
+    """The actions in flight in a workcell, and the end of each by its longest duration (UTC ns)."""
     for action in state.actions.list_in_cell(cell):
         run = state.runs.active.get(action.run)
         if run is not None:
@@ -295,11 +301,11 @@ def _list_in_flight(state: LabState, cell: str) -> Iterator[tuple[Action, int]]:
 def _make_reservation(
     state: LabState, run: RunState, index: int, now: int, foreseen: dict[int, int] | None = None
 ) -> Reservation | None:
-    """What a run needs for a windowed step; None if its clock does not run, or if it cannot go on
-    by itself. ``foreseen`` are the ends of steps that start clocks, as if they had ended."""
+    """What a run needs for a windowed step. None if no clock runs for the step, or if the run cannot go on by
+    itself. ``foreseen`` are the expected ends of steps that start clocks (UTC ns): these count as ended."""
     known = dict(foreseen or {})
     plan = state.runs.plan_of(run)
-    # A step that ends sooner than it should starts its clock sooner.
+    # A step that ends earlier than expected starts its clock earlier.
     sooner = {step: max(now, at - find_spread(state, plan.steps[step])) for step, at in known.items()}
     end, last = find_deadline(state, run, index, sooner), find_deadline(state, run, index, known)
     if end is None or last is None:
@@ -323,7 +329,8 @@ def _make_reservation(
         known[step] = begin + find_longest_time(state, plan.steps[step])
         for resource, time in list_uses(state, run, step, begin).items():
             needs.append(Need(resource, step, begin, latest[step], time))
-    # In a short window there is no room for that: then both its ends count from the same end of its anchor.
+    # A short window has no room for this margin. Then the deadline moves later: at most to the one that
+    # counts from the expected end of the anchor.
     late = min(max([0, *(need.release - need.latest for need in needs)]), last - end)
     if late:
         needs = [msgspec.structs.replace(need, latest=need.latest + late) for need in needs]
@@ -331,7 +338,7 @@ def _make_reservation(
 
 
 def _list_jobs(found: Reservation, resource: str, now: int) -> list[Need]:
-    """A run's needs of a resource, those that follow on one another as one."""
+    """A run's needs of a resource. Needs without a gap between them are joined."""
     jobs: list[Need] = []
     for need in sorted((n for n in found.needs if n.resource == resource), key=lambda n: n.release):
         need = msgspec.structs.replace(need, release=max(need.release, now))
@@ -345,7 +352,7 @@ def _list_jobs(found: Reservation, resource: str, now: int) -> list[Need]:
 
 
 def _list_needs_in_flight(state: LabState, resource: str, now: int) -> list[Need]:
-    """What is being carried out on a module or in a zone, as long as it should still take."""
+    """The actions in flight on a module or in a zone, as needs from now to their expected ends."""
     cell = workcell_of(ModuleName(split_key(resource)[1]))
     return [
         Need(resource, action.step, now, now, end - now)
@@ -355,7 +362,7 @@ def _list_needs_in_flight(state: LabState, resource: str, now: int) -> list[Need
 
 
 def _measure_clearing(state: LabState, resource: str) -> int:
-    """How long it takes (ns) to carry labware away from a module once what goes on there has ended."""
+    """The time to carry labware away from a module after the action in flight there has ended (ns)."""
     cell = workcell_of(ModuleName(split_key(resource)[1]))
     found = 0
     for action, _ in _list_in_flight(state, cell):
@@ -372,7 +379,8 @@ def _list_taken(state: LabState, action: Action) -> list[str]:
 
 
 def _find_room(state: LabState, resource: str) -> int:
-    """How many may have a resource at the same time: at a place less those that do not leave it next."""
+    """The number of runs that may have a resource at the same time. At a station with several places, labware
+    that does not leave it next takes up a place."""
     station = find_station(state, resource)
     if station is None or station.spec.capacity < 2:
         return 1
@@ -386,7 +394,8 @@ def _find_room(state: LabState, resource: str) -> int:
 
 
 def _count_late(jobs: Sequence[Need], room: int) -> int:
-    """How many of these are late at best, so many at a time: by deadline, or as they come."""
+    """The number of these needs that are late if at most ``room`` have the resource at a time. They are taken
+    in the better of two orders: by deadline, or by release."""
 
     def count(order: list[Need]) -> int:
         free_at, late = [0] * room, 0
@@ -402,7 +411,8 @@ def _count_late(jobs: Sequence[Need], room: int) -> int:
 
 
 def _measure_lateness(jobs: Sequence[Need], begin: int) -> int:
-    """By how much (ns) these are late at most, one after the other, if they cannot begin before a time."""
+    """The most by which one of these needs is late (ns) if they follow one another and none begins before
+    ``begin`` (UTC ns)."""
     worst, time = 0, begin
     for job in sorted(jobs, key=lambda job: job.release):
         time = max(time, job.release)

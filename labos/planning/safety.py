@@ -1,21 +1,22 @@
-"""Safety: no start may take away anybody's way to the end.
+"""Deadlock avoidance: after each start, every run that could reach its end still can.
 
-A *witness* is one order of motions in which every actor that can still reach its end does so,
-with everybody else standing where they stand. The witness's next motion is always allowed, so
-there is always something that may move. Any other start is allowed only if a new witness is
-found that brings the same actors to their ends: greedily (some actor who can finish alone, then
-the next), and for those whom greed leaves behind by a bounded search of interleavings.
+A *witness* is one order of motions in which every actor that can still reach its end does so. All other
+labware stays where it is. The next motion of the witness is always allowed, so something can always move.
+Any other start is allowed only if a new witness brings the same actors to their ends. The search for it is
+greedy: one actor that can finish alone goes to its end, then the next. For the actors that are left, a
+bounded search of interleavings follows.
 
-A start has to be safe in several views. In one, actors that are stuck (a dead module, a person is
-asked, paused) are obstacles that stay where they are: nobody waits for them. In hopeful ones nobody
-is stuck: so nobody's way is blocked for good while they were out. And as only its application knows when
-an open experiment closes, what it has parked stays in one view, so that nobody inside waits for that;
-in another it closes, so that the closing workflow can always be run.
+A start has to be safe in several views. In one view, stuck actors are obstacles that stay where they are, so
+no run waits for them. An actor is stuck if a module is down, a person is asked, or its run is paused, for
+example. In the hopeful views no actor is stuck, so no start blocks the way of a stuck run permanently. Only
+the application of an open experiment knows when the experiment closes. So in one hopeful view its parked
+labware stays, and no run inside waits for the closing. In the other one the experiment closes, so that the
+closing workflow can always be run.
 
-Actors are the runs inside the cell, and the closing workflows of their experiments and of those that have
-parked labware between runs. A closing workflow waits for all runs of its experiment, and clears away what
-they leave; where nothing stands, it does nothing. What an experiment has parked each of its runs may take.
-Everybody's labware beside is an obstacle.
+Actors are the runs inside the workcell, and the closing workflows of experiments that have runs inside or
+parked labware. A closing workflow waits for all runs of its experiment, and clears away what they leave.
+Where no labware stands, it does nothing. A run may use what its experiment has parked, its user's labware and
+shared labware. All other labware is an obstacle.
 """
 
 from __future__ import annotations
@@ -66,18 +67,18 @@ from labos.planning.witness import (
 )
 
 OVER = (*SETTLED, IN_FLIGHT)
-"""Steps with such a status have nothing left to do: what is in flight counts as done."""
+"""The statuses of steps that have nothing left to do. A step in flight counts as done."""
 
 SEARCH_LIMIT = 200
-"""Interleavings looked at before an order is given up."""
+"""The most interleavings that a search looks at before it gives up."""
 
 THOROUGH = 20
-"""How many times as many are looked at where those inside have no known order: after a start of the kernel,
-say. Whoever is missing in what is found then is protected by nothing."""
+"""The factor by which the limit is larger if the actors inside have no known order, for example after a start
+of the kernel. Nothing protects an actor that is missing in the witness of this search."""
 
 
 class View(msgspec.Struct, frozen=True):
-    """How a workcell is seen: whether stuck actors go on after all, and whether open experiments close."""
+    """A view of a workcell. ``hopeful``: no actor is stuck. ``closing``: open experiments close."""
 
     cell: str
     hopeful: bool = False
@@ -85,7 +86,8 @@ class View(msgspec.Struct, frozen=True):
 
 
 class LastResult(msgspec.Struct, frozen=True):
-    """What was found last in a workcell, and for which stuck actors it holds."""
+    """The last result in a view: a witness, the actors that it brings to their ends (``ends``), and the stuck
+    actors for which it holds."""
 
     stuck: frozenset[str]
     witness: Witness
@@ -93,7 +95,8 @@ class LastResult(msgspec.Struct, frozen=True):
 
 
 class Safety:
-    """Judges starts in one state after the other. ``searches`` and ``interleavings`` count."""
+    """Checks starts, in one state after the other. ``searches`` is the number of searches for a witness,
+    ``interleavings`` the number of those that tried interleavings."""
 
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
@@ -104,14 +107,14 @@ class Safety:
         self.interleavings = 0
 
     def forget(self, state: LabState, cell: str) -> None:
-        """The bench of a workcell is another than it was."""
+        """Forget what is known of a workcell, because its bench has changed."""
         plans = state.runs.plans
         self._paths = {n: p for n, p in self._paths.items() if n in plans and plans[n].plan.workcell != cell}
         self._known = {view: known for view, known in self._known.items() if view.cell != cell}
         self._given_up = {view: known for view, known in self._given_up.items() if view.cell != cell}
 
     def find_path(self, state: LabState, plan: str) -> Path:
-        """The motions of a plan that the state knows."""
+        """The path, with the motions, of a plan that the state has."""
         found = self._paths.get(plan)
         if found is None:
             if len(self._paths) > max(4096, 2 * len(state.runs.plans)):
@@ -121,21 +124,22 @@ class Safety:
         return found
 
     def _list_motions(self, state: LabState, run: RunState, step: int) -> Sequence[Motion]:
-        """The motions of a step, on whichever way it is done."""
+        """The motions of a step, on any way of its plan; of a leaving run, on its way out."""
         if run.status == RunStatus.LEAVING:
             rules = _make_rules(state, state.runs.plan_of(run).workcell)
             return [motion for motion in find_way_out(state, run, rules) if motion.step == step]
         return list_motions(self.find_path(state, run.plan), step)
 
     def changes_anything(self, state: LabState, run: RunState, step: int) -> bool:
-        """Whether labware stands elsewhere after a step, or somebody holds something else."""
+        """Whether a step changes where labware stands or whose it is, what a run holds, or a module's
+        variable."""
         path = self.find_path(state, run.plan)
         if run.status != RunStatus.LEAVING and not path.ways:
             return step in path.changing
         return any(motion.changes_anything for motion in self._list_motions(state, run, step))
 
     def comes_out(self, state: LabState, run: RunState) -> bool:
-        """Whether a run inside can come to its end if nobody is stuck and experiments close."""
+        """Whether a run inside can reach its end if no actor is stuck and open experiments close."""
         view = View(state.runs.plan_of(run).workcell, hopeful=True, closing=True)
         actors = [view_actor(actor, view) for actor in self.list_actors(state, view.cell)]
         ground = lay_out(state, view.cell, actors, hopeful=True)
@@ -144,9 +148,9 @@ class Safety:
     def list_trapped(
         self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
     ) -> list[str]:
-        """Whose way to the end the start of a step would take away; empty if it is safe. A new
-        run counts itself: it is let in only if it can come out. Unless the caller is only
-        asking, a start that is found safe is taken as done."""
+        """The actors that could no longer reach their ends after the start of a step; empty if the start is
+        safe. A new run counts as one of the actors: it is admitted only if it can reach its end. Unless
+        ``only_asking``, a start that is safe is recorded as made."""
         cell = state.runs.plan_of(run).workcell
         if self._can_pass(state, run, cell):
             return []
@@ -155,7 +159,7 @@ class Safety:
         grounds: dict[bool, Floor] = {}
         for view in self._list_views(state, run, cell, actors):
             here = [view_actor(actor, view) for actor in actors]
-            # Only lost labware stands elsewhere in one view than in another.
+            # The floors of two views differ only in labware whose place is not known.
             hopeful = view.hopeful or not state.bench.lost
             if hopeful not in grounds:
                 grounds[hopeful] = lay_out(state, cell, actors, hopeful=hopeful)
@@ -170,8 +174,8 @@ class Safety:
         return []
 
     def may_change(self, state: LabState, run: RunState) -> bool:
-        """Whether nobody loses the way to the end if a run inside goes on by the plan that it has here, and
-        it comes out itself."""
+        """Whether a run inside may go on with the plan that ``run`` has: it can reach its end, and so can all
+        actors that could before."""
         name, cell = str(run.id), state.runs.plan_of(run).workcell
         old = self.list_actors(state, cell)
         new = [self.make_actor(state, run) if actor.name == name else actor for actor in old]
@@ -188,8 +192,8 @@ class Safety:
         return True
 
     def _can_pass(self, state: LabState, run: RunState, cell: str) -> bool:
-        """Whether a new run only uses modules, each of which it could use now: then it takes nothing from
-        anybody, and comes out first."""
+        """Whether a new run only uses modules, and could use each of them now. Then it takes nothing from
+        other runs, and can reach its end before them."""
         if run.has_started or run.experiment in state.experiments.open:
             return False
         path = self.find_path(state, run.plan)
@@ -201,7 +205,7 @@ class Safety:
 
     @staticmethod
     def _list_views(state: LabState, run: RunState, cell: str, actors: Sequence[Actor]) -> list[View]:
-        """The views that differ."""
+        """The views in which a start has to be safe. A view that equals another one is left out."""
         views = [View(cell, hopeful=True, closing=True)]
         joining = not run.has_started and run.experiment in state.experiments.open
         if joining or any(actor.parks for actor in actors):
@@ -219,7 +223,8 @@ class Safety:
         actors: list[Actor],
         view: View,
     ) -> LastResult | list[str]:
-        """What holds after the start, seen one way, or whom it would trap."""
+        """The result after the start, in one view; or the actors that could no longer reach their ends. The
+        caller undoes the changes of the floor."""
         known = self._check_before(ground, actors, view)
         name = str(run.id)
         at_once = _count_motions_at_once(actors, name, step)
@@ -268,8 +273,8 @@ class Safety:
         return lost or LastResult(_find_stuck(actors), witness, frozenset(ends))
 
     def _check_before(self, ground: Floor, actors: list[Actor], view: View) -> LastResult:
-        """What holds before the start: what was found last, or what is found now when somebody
-        has got stuck or free since, or has a motion to do again."""
+        """The result before the start: the last one, or a new one if that no longer holds. It no longer holds
+        if an actor has become stuck or free since, or has to repeat a motion."""
         names = {actor.name for actor in actors}
         stuck = _find_stuck(actors)
         known = self._known.get(view)
@@ -277,13 +282,13 @@ class Safety:
             _put_in_order(actors, known.witness)
             known = _with_passers(known, actors)
         if known is not None and known.stuck == stuck and known.ends >= names - stuck:
-            # Steps that changed nothing were done without asking.
+            # Steps that change nothing start without this check, so the witness may name steps that are over.
             left = {(actor.name, motion.step) for actor in actors for motion in actor.motions}
             left |= {(actor.name, FORKED) for actor in actors}
             known = msgspec.structs.replace(known, witness=tuple(w for w in known.witness if w in left))
             ahead = Counter(name for name, _ in known.witness)
             complete = all(ahead[a.name] == a.length for a in actors if a.name not in stuck)
-            if complete or any(step == FORKED for _, step in known.witness):  # somebody's branch is decided
+            if complete or any(step == FORKED for _, step in known.witness):  # a branch is decided
                 order = replay(ground, [actor for actor in actors if not actor.stuck], known.witness)
                 if order is not None:
                     found = LastResult(stuck, order, known.ends & names)
@@ -293,14 +298,14 @@ class Safety:
         free = names - stuck
         witness, ends = self.find(ground, actors, free)
         if not ends >= free and self._given_up.get(view) != (names, stuck):
-            self._given_up[view] = (names, stuck)  # not again while the same are inside
+            self._given_up[view] = (names, stuck)  # not again while the same actors are inside
             witness, ends = self.find(ground, actors, free, self._limit * THOROUGH)
         known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known
 
     def with_newcomer(self, state: LabState, run: RunState, actors: Sequence[Actor]) -> list[Actor]:
-        """The actors with a run that is not inside yet, as the last one; and with its experiment's closing
-        workflow, unless it is that."""
+        """The actors, and a run that is not inside yet as the last one. The closing workflow of its
+        experiment is added if it waits for the run. A closing run takes the place of that workflow."""
         home = experiment_owner(run.experiment)
         others = [actor for actor in actors if not (run.closing and actor.name == home)]
         if _has_waiting_close(state, run) and all(actor.name != home for actor in others):
@@ -310,7 +315,8 @@ class Safety:
     # -- actors ------------------------------------------------------------------------------
 
     def list_actors(self, state: LabState, cell: str) -> list[Actor]:
-        """Everybody who has something on the bench of a workcell or is on the way to it."""
+        """The actors of a workcell: the runs inside, and the closing workflows that have not started, of
+        experiments with runs inside or with labware."""
         inside = list(state.runs.list_inside(cell))
         actors = [self.make_actor(state, run) for run in inside]
         homes = {run.experiment for run in inside}
@@ -348,9 +354,10 @@ class Safety:
         )
 
     def make_actor(self, state: LabState, run: RunState) -> Actor:
-        """A run as an actor: what is left of its way. At its end, its experiment has what it leaves."""
+        """A run as an actor, with the motions that it has left. If a closing workflow waits for its end, that
+        workflow gets the labware that the run leaves."""
         path, plan = self.find_path(state, run.plan), state.runs.plan_of(run)
-        # What may have been done is taken for done, as the floor has it.
+        # A step of unknown outcome counts as done, as it does on the floor.
         states = [IN_FLIGHT if status == UNKNOWN else status for status in list_statuses(plan, run)]
         over = {i for i, status in enumerate(states) if status in OVER}
         experiment = state.experiments.open.get(run.experiment)
@@ -384,7 +391,8 @@ class Safety:
         )
 
     def _list_motions_after_failure(self, state: LabState, run: RunState) -> tuple[Motion, ...]:
-        """What follows when a run has failed: the closing workflow has to be possible then, too."""
+        """The motions that follow if a run fails: the closing workflow has to be possible then, too. Empty if
+        none waits for the run."""
         if not _has_waiting_close(state, run):
             return ()
         closing = self.find_path(state, state.experiments.open[run.experiment].closing)
@@ -395,8 +403,9 @@ class Safety:
     def find(
         self, floor: Floor, actors: Sequence[Actor], keep: set[str], limit: int = 0
     ) -> tuple[Witness, set[str]]:
-        """A witness and the actors it brings to their ends; tries harder if somebody of ``keep`` is missing,
-        with at most ``limit`` interleavings (0: as many as usual). Changes neither floor nor actors."""
+        """A witness, and the actors that it brings to their ends. If actors of ``keep`` are missing and none
+        of these is stuck, interleavings are searched: at most ``limit`` in each search (0: the usual limit).
+        Changes neither floor nor actors."""
         self.searches += 1
         limit = limit or self._limit
         mark, able = len(floor.changes), [actor for actor in actors if not actor.stuck]
@@ -413,7 +422,7 @@ class Safety:
                 order += found
                 ends |= {actor.name for actor in missing}
             elif len(all_over) > len(missing):
-                # Whoever went first may have come to rest in the others' way.
+                # The labware of an actor that went first may be in the way of the others.
                 floor.take_back(mark)
                 found = interleave(floor, all_over, limit)
                 if found is not None:
@@ -429,7 +438,7 @@ def _has_waiting_close(state: LabState, run: RunState) -> bool:
 
 
 def _end(home: Owner) -> tuple[Motion, ...]:
-    """The end of a run whose experiment's closing workflow waits for it."""
+    """The end of a run for which the closing workflow of ``home`` waits; empty without ``home``."""
     return (Motion(END, frees=(home,), heir=name_leftover_owner(home)),) if home else ()
 
 
@@ -450,25 +459,26 @@ def _find_stuck(actors: Sequence[Actor]) -> frozenset[str]:
 
 
 def _put_in_order(actors: Sequence[Actor], witness: Witness) -> None:
-    """Give actors whose steps may be done in more orders than one the order that a witness has."""
+    """Give each actor whose steps have several possible orders the order of a witness."""
     for actor in actors:
         if actor.orders is not None:
             put_in_order(actor, list(dict.fromkeys(step for name, step in witness if name == actor.name)))
 
 
 def _count_motions_at_once(actors: Sequence[Actor], name: str, step: int) -> int:
-    """How many motions the start of an actor's step makes; 0 if it is not inside or beyond a fork."""
+    """The number of motions of an actor's step; 0 if the actor is not inside, or the step is behind a
+    fork."""
     return sum(motion.step == step for actor in actors if actor.name == name for motion in actor.motions)
 
 
 def view_actor(actor: Actor, view: View) -> Actor:
-    """An actor to try things out with, as it is in a view."""
+    """A copy of an actor for trials, as it is in a view."""
     seen = copy_actor(actor)
     if view.hopeful:
         seen.stuck = False
     if actor.parks and not view.closing:
         seen.forks = tuple(Branch(_drop_closing(fork.motions), fork.fails) for fork in actor.forks)
-        seen.stuck = seen.stuck or not actor.home  # the closing workflow itself
+        seen.stuck = seen.stuck or not actor.home  # the closing workflow has no home
     return seen
 
 
@@ -477,7 +487,7 @@ def _drop_closing(motions: Sequence[Motion]) -> tuple[Motion, ...]:
 
 
 def _with_passers(known: LastResult, actors: Sequence[Actor]) -> LastResult:
-    """What is known, and before it those who were let in since and only use modules."""
+    """The known result, with the runs first that were admitted since and only use modules."""
     passers = [
         actor
         for actor in actors

@@ -1,7 +1,7 @@
-"""A workcell as a rehearsal has it: who is at work, what stands where, and who holds what.
+"""The workcell in a rehearsal: which steps are in flight, where labware stands, and what each run holds.
 
-The rules are those by which steps start (``core.rules``), as far as they have to do with time and room:
-modules, hands, stations, decks, doors, zones, setpoints and what plans hold.
+The rules are those for starting a step (``core.rules``), as far as they concern time and room: modules,
+hands, stations, decks, doors, zones, setpoints and holds of plans.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from labos.planning.player import FAR, NOBODY, Player, Step, Who
 
 
 class Scene:
-    """A workcell at one time: what is in flight, what stands where, and who holds what."""
+    """A workcell at one time: which steps are in flight, where labware stands, and what each run holds."""
 
     def __init__(self, state: LabState, cell: str, now: int) -> None:
         self.state, self.cell, self.now = state, cell, now
@@ -92,7 +92,8 @@ class Scene:
         return other
 
     def with_run_alone(self, run: RunState) -> Scene:
-        """The same, if nobody else were there."""
+        """A copy of the scene without other runs. Labware that the run may use stays, and doors and lids that
+        other runs have moved are at rest."""
         other, mine = self.copy(), (str(run.id), "")
         other.flying = [item for item in self.flying if item[2][0] in mine]
         other.busy = {name: who for name, who in self.busy.items() if who[0] in mine}
@@ -110,16 +111,17 @@ class Scene:
         return other
 
     def list_ends(self) -> dict[str, dict[int, int]]:
-        """When steps in flight end (UTC ns), by run."""
+        """The ends of the steps in flight (UTC ns), by run and step."""
         ends: dict[str, dict[int, int]] = {}
         for end, _, (name, index), *_ in self.flying:
             ends.setdefault(name, {})[index] = end
         return ends
 
-    # -- who is in the way -----------------------------------------------------------------------
+    # -- what is in the way ----------------------------------------------------------------------
 
     def find_in_the_way(self, player: Player, index: int) -> Who | None:
-        """Who keeps a step from starting, by the rules; None if nobody does."""
+        """The run or step that keeps a step from starting, by the rules. None if the step may start.
+        ``NOBODY`` if no run could make way for it."""
         step = player.plan.steps[index]
         if is_down(self.state, step.module, recovered=step.recovers):
             return NOBODY
@@ -155,7 +157,8 @@ class Scene:
         return None
 
     def find_holder(self, player: Player, name: ModuleName) -> Who | None:
-        """Who holds a module against a player: by labware, by a plan's word, by a door or lid."""
+        """The run or step that keeps a module from a player: by labware of another owner, by a hold, or by a
+        door or lid. None if the module is not kept."""
         stations = self.state.bench.stations
         for place in self.state.bench.by_module.get(name, ()):
             if stations[place].spec.claim:
@@ -165,7 +168,8 @@ class Scene:
         return self.find_keeper(player, name)
 
     def find_keeper(self, player: Player, name: ModuleName) -> Who | None:
-        """Who keeps a module from a player by a plan's word, or by a door or lid."""
+        """The run or step that keeps a module from a player by a hold, or by a door or lid that is not at
+        rest. None if the module is not kept."""
         for holder, at in self.held.get(name, {}).items():
             if holder != player.name:
                 return holder, at
@@ -176,12 +180,12 @@ class Scene:
                 return by
         return None
 
-    # -- what happens ------------------------------------------------------------------------------
+    # -- changes -----------------------------------------------------------------------------------
 
     def take(
         self, run: RunState, index: int, step: PlanStep, effects: tuple[AnyEffect, ...], end: int
     ) -> None:
-        """A step begins: it has from now on what it needs."""
+        """Start a step that ends at ``end`` (UTC ns). From now on it has all that it needs."""
         stations, who = self.state.bench.stations, (str(run.id), index)
         self.inside.add(who[0])
         if step.exclusive:
@@ -211,16 +215,18 @@ class Scene:
         heapq.heappush(self.flying, (end, len(self.flying) + index, who, step, effects))
 
     def list_places(self, step: PlanStep, needs: Needs) -> list[StationName]:
-        """Where the labware may stand that a step needs."""
+        """The stations where the labware that a step needs may stand."""
         return [needs.station] if needs.station else self.state.bench.by_module.get(step.module, [])
 
     def list_owners_within_reach(self, place: StationName) -> list[Owner]:
-        """Whose labware can be worked on at a place; on a stack that is the topmost piece."""
+        """The owners of the labware that a step can work on at a place. On a stack this is only the topmost
+        piece."""
         owners = [owner for owner, _ in self.standing.get(place, ())]
         return owners[-1:] if self.state.bench.stations[place].spec.kind == "stack" else owners
 
     def _borrow(self, run: RunState, step: PlanStep, needs: Needs, who: Who, *, keeps: bool) -> None:
-        """What a run works on is lent to it until its end, or its own for good."""
+        """Lend the labware on which a step works to its run until the run ends. If the step changes it
+        (``keeps``), the run owns it from now on."""
         owners, places = list_party(run), self.list_places(step, needs)
         found = [
             (owners.index(o), p) for p in places for o in self.list_owners_within_reach(p) if o in owners
@@ -240,12 +246,13 @@ class Scene:
         self.lent[name] = (*self.lent.get(name, ()), (place, owner))
 
     def _find_owner_at(self, run: RunState, place: StationName) -> Owner:
-        """Whose labware it is that a run carries away."""
+        """The owner of the labware that a run carries away from a place."""
         there = [owner for owner, _ in self.standing.get(place, ())]
         return next((owner for owner in list_party(run) if owner in there), run_owner(run.id))
 
     def release(self, player: Player | None, run: RunState, who: Step, step: PlanStep, effects: Any) -> None:
-        """A step has ended: what it took and what it leaves is there for others."""
+        """End a step: other steps may use what it took and what it leaves. The last step of a player ends its
+        run. ``player`` is None for a run that is not a player."""
         if self.busy.get(step.module) == who:
             del self.busy[step.module]
         for hands in self.reached.values():
@@ -277,7 +284,7 @@ class Scene:
                 return
 
     def _leave(self, name: str) -> None:
-        """The end of a run lets go of all that it held, and gives back what was lent to it."""
+        """End a run: it releases all that it held, and gives back what was lent to it."""
         mine = run_owner(RunId(name))
         for place, lender in self.lent.pop(name, ()):
             there = self.standing.get(place, [])
@@ -294,8 +301,8 @@ class Scene:
 
 
 class Turn:
-    """A step whose turn it is in a scene: a store that says who is in its way (``NOBODY``: nobody who could
-    be told to wait or to go)."""
+    """The scene as a store for the checks of one step (see ``core.algebra``). Each check returns the run or
+    step in the way; ``NOBODY`` if no run could make way."""
 
     def __init__(self, scene: Scene, player: Player, step: PlanStep) -> None:
         self.scene, self.player, self.step = scene, player, step
@@ -319,7 +326,7 @@ class Turn:
         within = there[-number:] if self.stations[place].spec.kind == "stack" else there
         if sum(owner in self.player.party for owner, _ in within) >= number:
             return None
-        return NOBODY  # nobody knows when it will stand there
+        return NOBODY  # it is not known when it will stand there
 
     def check_fits(self, what: Carrying) -> Who | None:
         return None

@@ -1,11 +1,11 @@
-"""Which steps to start now: evaluated only where something has changed, in a fair order.
+"""The scheduler: proposes which steps start now, in a fair order. It checks only where something has changed.
 
-A step that cannot start sleeps on the keys whose change may end its wait. Runs that wait to be
-let in sleep in bundles of those that wait for the same (see ``waiting``): the cost of a decision
-does not grow with the queue.
+A step that cannot start sleeps on the keys whose change may end its wait. Queued runs that wait for the same
+things sleep together, in bundles (see ``waiting``). So the cost of a decision does not grow with the queue.
 
-The scheduler keeps nothing that it could not work out again from the state, but the orders that it has
-found: they decide who goes first, and nothing that must hold rests on them.
+The scheduler can compute again from the state what it keeps, with three exceptions: the orders that it has
+found, the counts of overtakings, and since when steps wait for an order. They decide which step goes first.
+No rule of safety depends on them.
 """
 
 from __future__ import annotations
@@ -75,12 +75,12 @@ from labos.planning.waiting import PATIENCE, Kind, WaitingRoom
 from labos.planning.window_order import MOST_WAITING, WindowOrders
 
 MOST_BUNDLES = 50
-"""So many are asked for what they need: a decision costs no more with a longer queue."""
+"""The most bundles of a workcell whose plans are read, so that the cost of a decision has a limit."""
 
 
 class StepStart(msgspec.Struct, frozen=True):
-    """Start this step of this run; ``plan`` is the one to which it binds a run that has several. ``others``
-    are the runs whose steps are carried out together with it."""
+    """A proposal to start a step of a run. ``plan`` is the plan to which a run with several plans is bound,
+    else empty. ``others`` are the steps of other runs that start together with it: (run, step)."""
 
     run: RunId
     step: int
@@ -88,14 +88,14 @@ class StepStart(msgspec.Struct, frozen=True):
     others: tuple[tuple[RunId, int], ...] = ()
 
     def make_command(self, name_action: Callable[[], ActionId], now: int) -> Command:
-        """The command that asks for it, with a new name for each action."""
+        """The command that requests the start, with a new id for each action."""
         steps = ((self.run, self.step), *self.others)
         return make_command([(run, step, name_action()) for run, step in steps], self.plan, now)
 
 
 class Scheduler:
-    """Proposes starts for one state that only moves forward. Make a new one after a refold. Without ``own``
-    it looks for no order of all that waits."""
+    """Proposes starts for one state that only moves forward. After a refold, make a new scheduler. Without
+    ``own`` it does not search for the lab's own order of all steps."""
 
     def __init__(self, own: OwnOrders | None = None) -> None:
         self.safety = Safety()
@@ -121,8 +121,8 @@ class Scheduler:
         self._touched = sort_keys([EVERYTHING])
 
     def iterate_proposals(self, state: LabState, now: int) -> Iterator[StepStart]:
-        """Starts that are legal and safe after the last ``note_changes``, one by one. The caller carries each
-        one out before it asks for the next."""
+        """The starts that are legal and safe after the last ``note_changes``, one by one. The caller carries
+        each start out before it asks for the next one."""
         self.ranking.forget()
         for spot in put_last(state, self.ranking.sort(state, self._wake(state, now), self.patience, now)):
             if spot.bundle:
@@ -131,9 +131,9 @@ class Scheduler:
                 yield from self._start_step(state, spot, now)
 
     def _start_step(self, state: LabState, spot: Spot, now: int) -> Iterator[StepStart]:
-        """Propose a step of an active run, or let it sleep until it may start."""
+        """Propose a step of an active run. If the step has to wait, it sleeps instead."""
         run = spot.run
-        # Only now: until it is looked at, others may overtake it.
+        # It wakes only now: starts of other runs before this check count as overtaking it.
         self.sleepers.wake((run.id, spot.step))
         wait = self.check_start(state, state.runs.active.get(run.id), spot.step, now)
         if wait is not None:
@@ -155,9 +155,9 @@ class Scheduler:
         only_asking: bool = False,
         at_once: bool = False,
     ) -> Wait | None:
-        """What a step waits for; None if it may start now. Unless the caller is only asking, the
-        step is then taken as started. With ``at_once``, a run starts even if its
-        next place is not free soon."""
+        """The wait of a step; None if it may start now. A step that may start counts as started from then
+        on, except with ``only_asking``. With ``at_once``, a queued run may start even if its second place
+        is not free soon."""
         if run is None:
             return Wait(reasons.Gone())
         is_alone = run.has_started or run.choices or len(state.runs.plans[run.plan].starts) > 1
@@ -176,7 +176,7 @@ class Scheduler:
             wait = check_for_others(state, run, step, companions, outside, now)
         is_outside = not run.has_started
         if wait is None and is_outside:
-            wait = find_block(state, run)  # let in, it would come to a stand on the bench
+            wait = find_block(state, run)  # after its start it would be blocked on the bench
         if wait is None and (is_outside or self.safety.changes_anything(state, run, step)):
             wait = check_may_stay(state, self.safety, run, step)
             if wait is None and is_outside and run.id not in state.runs.windowed:
@@ -186,7 +186,7 @@ class Scheduler:
         return wait
 
     def _check_time(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
-        """What a step waits for that may not start before its time: bookings, windows, suggested orders."""
+        """The wait of a step whose time has not come, because of bookings, windows or orders."""
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
         wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
         if wait is None and self.adviser.has_orders(state) and not self._is_overtaken(state, run):
@@ -198,12 +198,12 @@ class Scheduler:
     def _check_others(
         self, state: LabState, run: RunState, step: int, now: int, *, at_once: bool
     ) -> Wait | None:
-        """What a run without a running clock waits for outside: an older run that was overtaken too often,
-        or its second place, which is not free soon."""
+        """The wait of a queued run without a running clock. It waits for an older run, queued or inside, that
+        was overtaken too often; or for its second place, if that is not free soon."""
         cell = state.runs.plan_of(run).workcell
         elder = self.elders.find_protected(state, run, now)
         if elder:
-            # It protects nothing any more once it has to wait for a booking.
+            # From the time at which the elder run has to wait for a booking, it is not protected any more.
             until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
             return Wait(reasons.AfterElder(elder), (cell_key(cell),), until)
         if not at_once and not self.adviser.is_time(state, run, step, now):
@@ -214,7 +214,7 @@ class Scheduler:
         return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
 
     def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
-        """What a step waits for after which somebody could not reach the end any more."""
+        """The wait of a step after whose start a run or an experiment could not reach its end."""
         trapped = self.safety.list_trapped(state, run, step, only_asking=only_asking)
         if not trapped:
             return None
@@ -225,18 +225,19 @@ class Scheduler:
         return Wait(why, (cell_key(plan.workcell),))
 
     def note_changes(self, state: LabState, keys: Iterable[str]) -> None:
-        """Take note of the keys of new events, before anything else is asked."""
+        """Note what the keys of new events touch. Call this before any other method."""
         self._touched = self._find_touched(state, keys)
         self.deadlines.note_changes(state, self._touched)
 
     def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
-        """What the time that has come asks for, and what becomes of cancelled runs."""
+        """The commands for times that have come, for cancelled runs, and for runs that change their plan."""
         yield from self.deadlines.iterate_due(state, now)
         yield from self._find_ways_out(state)
         yield from list_changes(state, self.safety)
 
     def _find_ways_out(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:
-        """Commands for cancelled runs with nothing in flight: they take their way out, or give it up."""
+        """The commands for cancelled runs without an action in flight: carry out the ``on_cancel`` steps, or
+        give them up if the run cannot reach its end."""
         found: list[TakeWayOut | GiveUpWayOut] = []
         for run in map(state.runs.active.__getitem__, state.runs.ending):
             if has_open_action(run):
@@ -248,17 +249,19 @@ class Scheduler:
         return found
 
     def find_next_deadline(self, state: LabState) -> int | None:
-        """When to look again even if nothing happens (UTC ns)."""
+        """The time of the next check even if nothing happens (UTC ns); None if there is none."""
         times = (self.deadlines.find_first(state), self.find_next_wake())
         return min((time for time in times if time is not None), default=None)
 
     def find_next_wake(self) -> int | None:
-        """When somebody who waits for a time is to be looked at again (UTC ns)."""
+        """The time at which a wait ends by itself, or a search for an order continues (UTC ns); None if
+        there is none."""
         times = (self.sleepers.find_first(), self.window_orders.find_next_look())
         return min((time for time in times if time is not None), default=None)
 
     def list_waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
-        """Why a run does not go on: (step, wait) for each step whose turn it is."""
+        """Why a run does not continue: (step, wait) for each step whose turn it is, and for each failed step
+        about which a person has to decide."""
         with self.reservations.forget_afterwards():
             found = [
                 (step, self.check_start(state, option, step, now, only_asking=True))
@@ -272,7 +275,7 @@ class Scheduler:
         if not run.has_started and any(wait is None for _, wait in found):
             found = [*self.admission.explain(state, run, now)] or found
         if run.choices and not run.has_started:
-            possible = any(wait is None for _, wait in found)  # one of its plans is enough
+            possible = any(wait is None for _, wait in found)  # one plan that may start is enough
             found = [] if possible else [each for i, each in enumerate(found) if each not in found[:i]]
         return [*find_questions(state, run), *((step, wait) for step, wait in found if wait is not None)]
 
@@ -316,13 +319,13 @@ class Scheduler:
             names.update({(bundle, 0): True for bundle in self.room})
         for cell in self._list_cells(state, names) if self.adviser.own.is_used else ():
             if self.admission.find_order(state, cell, now):
-                names |= self.sleepers.find_waiting(cell_key(cell))  # others may go first now
+                names |= self.sleepers.find_waiting(cell_key(cell))  # other steps may go first now
         for cell in self._order_windows(state, names, now):
             names |= self._list_all(state, cell)
         return [spot for spot in (self._look_again(state, name, now) for name in names) if spot is not None]
 
     def _list_cells(self, state: LabState, names: Iterable[Name]) -> list[str]:
-        """The workcells in which these are."""
+        """The workcells of these steps and bundles."""
         found: dict[str, bool] = {}
         for who, _ in names:
             run = state.runs.active.get(RunId(who))
@@ -330,7 +333,7 @@ class Scheduler:
         return [cell for cell in found if cell]
 
     def _list_all(self, state: LabState, cell: str) -> dict[Name, bool]:
-        """All that may start in a workcell."""
+        """The steps of a workcell whose turn it is, and its bundles."""
         inside = state.runs.list_inside(cell)
         names: dict[Name, bool] = {
             (run.id, step): True for run in inside for step in list_ready_steps(state, run)
@@ -338,8 +341,8 @@ class Scheduler:
         return names | {(bundle, 0): True for bundle in self.room.list_in_cell(cell)}
 
     def _order_windows(self, state: LabState, names: Iterable[Name], now: int) -> list[str]:
-        """Make an order of one's own where clocks run, or will; returns the workcells in which it is another
-        one. ``names`` are those who are looked at now."""
+        """Update the lab's own order in each workcell where clocks run, or will run. Returns the workcells
+        whose order has changed. ``names`` are the steps and bundles that are checked now."""
         orders = self.window_orders
         cells = dict.fromkeys(cell for cell, runs in state.runs.windowed_in.items() if runs)
         if self.adviser.own.is_used:
@@ -355,7 +358,7 @@ class Scheduler:
         return changed
 
     def _will_start_clocks(self, state: LabState, cell: str) -> bool:
-        """Whether a workcell is empty, and what waits for it has windows."""
+        """Whether a workcell is empty, and runs with windows wait for it. Only one queued run is checked."""
         if state.runs.list_inside(cell):
             return False
         bundles = self.room.list_in_cell(cell)
@@ -363,8 +366,8 @@ class Scheduler:
         return run is not None and bool(state.runs.plans[run.plan].windowed)
 
     def _find_touched(self, state: LabState, keys: Iterable[str]) -> Touched:
-        """What the keys stand for, with the workcells of all that is over: the state does not know any more
-        in which it was. Notes where what has begun is."""
+        """What the keys touch, with the workcells of runs, experiments and questions that have ended. The
+        state has no workcell for these any more, so it is noted when they begin."""
         if self._fresh:
             return sort_keys([*keys, EVERYTHING])
         touched = sort_keys(keys)
@@ -379,7 +382,8 @@ class Scheduler:
         return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
     def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> Spot | None:
-        """Who is worth a look in turn; a bundle that has to wait anyway sleeps on at once."""
+        """What to check for a name: the step of an active run, or the first run of a bundle. None if the
+        bundle is gone, or if it has to wait by the rules. A bundle that has to wait sleeps again at once."""
         who, step = name
         active = state.runs.active.get(RunId(who))
         if active is not None:
@@ -397,8 +401,8 @@ class Scheduler:
         return Spot(first, 0, who) if first is not None else None
 
     def _find_waits_at_start(self, state: LabState, bundle: str, run: RunState, now: int) -> list[Wait]:
-        """What each first step of a run of a bundle has to wait for by the rules; nothing if one of them is
-        possible. As long as nothing happens, what was found for one serves for all of the same kind."""
+        """The wait by the rules of each first step of a run of a bundle; empty if one of them is possible.
+        While nothing happens, the result for one bundle is used for all bundles of its kind."""
         if self._seen_at != (state.position, now):
             self._seen_at = state.position, now
             self._seen.clear()
@@ -412,7 +416,7 @@ class Scheduler:
         return waits
 
     def _list_waits_at_start(self, state: LabState, run: RunState, now: int) -> list[Wait]:
-        """What each first step of a run has to wait for; nothing if one of them is possible."""
+        """The wait by the rules of each first step of a run; empty if one of them is possible."""
         waits: list[Wait] = []
         for option in list_options(run):
             for step in state.runs.plans[option.plan].starts:
@@ -431,11 +435,11 @@ class Scheduler:
         bundle = self.room.note(state, queued) if queued is not None else ""
         return [(bundle, 0)] if bundle else []
 
-    # -- letting new runs in -----------------------------------------------------------------
+    # -- admission ---------------------------------------------------------------------------
 
     def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
         run: RunState | None = first
-        if first.id not in state.runs.queued:  # another bundle's look ahead has let it in meanwhile
+        if first.id not in state.runs.queued:  # the look ahead for another bundle has started it
             run = self.admission.find_first(state, bundle, now)
         while run is not None:
             chosen = self.admission.choose(state, bundle, run, now)
@@ -448,14 +452,14 @@ class Scheduler:
             self.patience.count_start(state, option, chosen.step, self.sleepers)
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
-                return  # the start was rejected: to propose it again would be for ever
+                return  # the start was rejected; proposing it again would never end
             if not self.adviser.has_order(state, state.runs.plan_of(option).workcell, now):
                 yield from self._start_first_steps(state, option.id, now)
             run = self.admission.find_first(state, bundle, now)
 
     def _start_first_steps(self, state: LabState, name: RunId, now: int) -> Iterator[StepStart]:
-        """Propose the other first steps of a run that has just started: they go before those of runs that
-        still wait."""
+        """Propose the other first steps of a run that has just started. They go before first steps of queued
+        runs."""
         run = state.runs.active.get(name)
         if run is not None:
             spots = [Spot(run, step) for step in list_ready_steps(state, run)]
@@ -463,16 +467,16 @@ class Scheduler:
                 yield from self._start_step(state, spot, now)
 
     def _is_overtaken(self, state: LabState, run: RunState) -> bool:
-        """Whether a run has waited for so long that nobody's advice holds it up."""
+        """Whether a run was overtaken so often that it waits for no order any more."""
         return self.patience.is_over(run.id) if run.has_started else self.room.is_overtaken(state, run)
 
     def _list_plans(self, state: LabState, cell: str) -> Iterator[Plan]:
-        """Plans of those who are in a workcell, and of some who wait for it: one of each bundle."""
+        """The plans of the runs inside a workcell, and those of ``_list_plans_outside``."""
         yield from map(state.runs.plan_of, state.runs.list_inside(cell))
         yield from self._list_plans_outside(state, cell)
 
     def _list_plans_outside(self, state: LabState, cell: str) -> Iterator[Plan]:
-        """Plans of some who wait for a workcell: one of each bundle."""
+        """The plans of queued runs of a workcell: one run of each of the first ``MOST_BUNDLES`` bundles."""
         for bundle in self.room.list_in_cell(cell)[:MOST_BUNDLES]:
             run = self.room.find_any_run(state, bundle)
             if run is not None:
@@ -480,22 +484,22 @@ class Scheduler:
 
 
 def make_searching_scheduler(known: Mapping[str, OwnOrder] = MappingProxyType({})) -> Scheduler:
-    """A scheduler that looks for an order of all that waits before the first of several runs starts. It goes
-    on from orders of workcells that are ``known``."""
+    """A scheduler that searches for the lab's own order before the first of several runs starts. The search
+    continues from the ``known`` orders, by workcell."""
     return Scheduler(OwnOrders(before_start=BEFORE_START, known=known))
 
 
 def _list_keys_of(cell: str | None) -> tuple[str, ...]:
-    """What is touched when something is over that was in a workcell; in none if it is empty, None if nobody
-    knows."""
+    """The keys that are touched when a run, experiment or question of a workcell ends. No keys if ``cell`` is
+    empty (it was in no workcell); the key of everything if it is None (not known)."""
     if cell is None:
         return (EVERYTHING,)
     return list_cell_keys(cell) if cell else ()
 
 
 def _cells(state: LabState) -> dict[str, str]:
-    """The workcells of all runs, experiments and questions that are not over, by their names; empty for
-    what is in none."""
+    """The workcell of each run, experiment and question that is not over, by name; empty if it is in none.
+    Those whose workcell is not known are left out."""
     runs = state.runs
     names = [*runs.active, *runs.queued, *state.experiments.open, *state.interventions.open]
     found = ((name, _find_cell(state, name)) for name in names)
@@ -503,8 +507,8 @@ def _cells(state: LabState) -> dict[str, str]:
 
 
 def _find_cell(state: LabState, name: str) -> str | None:
-    """The workcell of a run, an experiment or a question; empty if it is in none, None if it is over, or
-    nobody can tell."""
+    """The workcell of a run, an experiment or a question. Empty if it is in none; None if it is over, or its
+    workcell is not known."""
     question = state.interventions.open.get(InterventionId(name))
     if question is not None:
         about = question.module or (question.subject if "/" in question.subject else "")

@@ -1,4 +1,4 @@
-"""Which of several runs needs no change of what a module is set up for."""
+"""The order of runs by set-up time: the run that needs the least set-up goes first."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from labos.planning.forecast import find_setup_ns
 
 
 class SetupOrder:
-    """Ranks runs by what has to be changed for them; ``forget`` what was worked out after each turn."""
+    """Ranks runs by the set-up time that they need. Results count for one turn (``forget``)."""
 
     def __init__(self) -> None:
         self._by_plan: dict[str, int] = {}
         self._setups: dict[str, dict[ModuleName, tuple[Setup, Any]]] = {}
 
     def forget(self) -> None:
-        """Modules may be set up for something else now."""
+        """Forget all results, because modules may be set up for other work now."""
         self._by_plan.clear()
         self._setups.clear()
 
     def rank(self, state: LabState, run: RunState, step: int | None) -> int:
-        """How long a step (of a run that waits: its first one on each module) would be held up by set-ups
-        (ns of wall time). The least goes first."""
+        """The set-up time before a step (ns of wall time). With ``step`` None, the run is queued: the sum for
+        its first step with a set-up on each module. The least goes first."""
         plan = state.runs.plan_of(run)
         if step is not None:
             return find_setup_ns(state, plan.steps[step])
@@ -42,6 +42,7 @@ class SetupOrder:
 
 
 def _count(state: LabState, run: RunState, setups: dict[ModuleName, tuple[Setup, Any]]) -> int:
+    """The set-up time for the first step with a set-up on each module (ns of wall time)."""
     seen: set[ModuleName] = set()
     total = 0.0
     for step in state.runs.plan_of(run).steps:
@@ -54,8 +55,8 @@ def _count(state: LabState, run: RunState, setups: dict[ModuleName, tuple[Setup,
 
 
 def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, Any]]:
-    """The modules of a workcell whose set-ups cost anything, and for what they will be set up once those
-    inside have used them: the last of these that was let in counts."""
+    """The modules of a workcell that need set-ups, and the value for which each will be set up after the runs
+    inside have used it. If several of them still use it, the run that was admitted last counts."""
     found: dict[ModuleName, tuple[Setup, Any]] = {}
     for name in state.modules.in_cell.get(cell, ()):
         module = state.modules.by_name[name]

@@ -1,4 +1,4 @@
-"""Steps and bundles of runs that wait, and what may end their waits."""
+"""The steps and bundles of runs that wait, and what may end their waits."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from labos.core.waits import Wait
 from labos.planning.alarms import Alarms
 
 Name = tuple[str, int]
-"""A run and a step of it, or a bundle of runs that wait to be let in and 0."""
+"""A run and one of its steps, or a bundle of runs that wait for admission and 0."""
 
 
 class Sleepers:
-    """The steps and bundles that wait, and what each of them waits for. One that is woken waits for nothing
-    any more."""
+    """The steps and bundles that wait, and what each of them waits for. After ``wake``, one of them waits for
+    nothing any more."""
 
     def __init__(self) -> None:
         self._waits: dict[str, dict[int, list[Wait]]] = {}
@@ -23,12 +23,12 @@ class Sleepers:
         self._asked_at = 0
 
     def list_among(self, names: Mapping[RunId, bool]) -> list[str]:
-        """Those of these runs that have a waiting step, sorted. The time it takes follows the smaller of the
-        two numbers: these runs, or waiting ones."""
+        """The runs among these that have a waiting step, sorted. The time that it takes follows the smaller
+        of two numbers: of these runs, or of the waiting ones."""
         return sorted(self._waits.keys() & names.keys())
 
     def sleep(self, name: Name, wait: Wait) -> None:
-        """Let somebody wait, beside what it waits for already."""
+        """Add a wait of a step or bundle to those that it has already."""
         who, step = name
         waits = self._waits.setdefault(who, {}).setdefault(step, [])
         waits.append(wait)
@@ -54,30 +54,30 @@ class Sleepers:
         self._alarms.set(name, None)
 
     def forget(self, who: str) -> None:
-        """A run has ended, or a bundle is empty."""
+        """Forget a run that has ended or a bundle that is empty."""
         for step in list(self._waits.get(who, ())):
             self.wake((who, step))
 
     def find_waiting(self, key: str) -> dict[Name, bool]:
-        """Who waits for a key. Not to be changed, nor kept."""
+        """The steps and bundles that wait for a key. The caller must neither change nor keep the dict."""
         return self._by_key.get(key, {})
 
     def list_due(self, now: int) -> list[Name]:
-        """Who waits for a time that has come (UTC ns). If the clock was set back since this was asked last,
-        all who wait for a time: it may have been counted from a time that is far away now."""
+        """The steps and bundles that wait for a time that has come (UTC ns). If the clock was set back since
+        the last call, all that wait for a time: it may count from a time that is far away now."""
         before, self._asked_at = self._asked_at, now
         return self._alarms.list_due(now) if before <= now else self._alarms.list_all()
 
     def find_first(self) -> int | None:
-        """The earliest time that somebody waits for (UTC ns)."""
+        """The earliest time that a step or bundle waits for (UTC ns); None if there is none."""
         return self._alarms.find_first()
 
     def find_waits(self, who: str) -> dict[int, list[Wait]]:
-        """What each step of a run waits for."""
+        """The waits of each step of a run."""
         return self._waits.get(who, {})
 
     def list_all(self) -> Iterator[tuple[str, Wait]]:
-        """Who waits, and for what: one wait for each step, the one that was found last."""
+        """The runs and bundles that wait, with one wait for each step: the one that was found last."""
         for who, steps in self._waits.items():
             for waits in steps.values():
                 yield who, waits[-1]

@@ -1,7 +1,7 @@
-"""What keeps a run from its end until a person or a device has done something.
+"""Why a run is blocked (here: stuck): it can reach its end only after a person or a device acts.
 
-Runs that are stuck are obstacles to everybody else: nobody waits for them to move (see ``safety``), and
-one that is not let in yet keeps nobody out.
+Stuck runs are obstacles for all other runs: no run waits until they move (see ``safety``). A stuck run that
+is not admitted yet does not block other runs.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from labos.planning.forecast import list_ready_steps
 
 
 def find_block(state: LabState, run: RunState) -> Wait | None:
-    """The first thing that a run cannot get past whatever the others do; None if there is nothing."""
+    """The first reason why a run is blocked, whatever other runs do; None if it is not blocked."""
     steps = state.runs.plan_of(run).steps
     wait = find_person_wait(state, run)
     if wait is not None:
@@ -63,7 +63,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
 
 
 def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
-    """The failed steps for which a person has to decide what happens."""
+    """The failed steps, by index, for which a person has to decide what happens, with their waits."""
     steps = state.runs.plan_of(run).steps
     questions = state.interventions.find_by_run(run.id)
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
@@ -100,8 +100,7 @@ def _check_modules(state: LabState, left: Sequence[PlanStep]) -> Wait | None:
 
 
 def _check_stopped_devices(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
-    """The wait for a device that a run's labware has to come to or from, and that stopped during an
-    action."""
+    """The wait for a device whose node went away during an action, if the run still needs its stations."""
     for name in state.modules.in_cell.get(state.runs.plan_of(run).workcell, ()):
         module = state.modules.by_name[name]
         if module.cut_off and any(reaches_into(state, name, list_places(s.effects)) for s in left):
@@ -110,13 +109,13 @@ def _check_stopped_devices(state: LabState, run: RunState, left: Sequence[PlanSt
 
 
 def reaches_into(state: LabState, module: ModuleName, reached: Iterable[StationName]) -> bool:
-    """Whether one of these places is a module's, and behind its door or in its way."""
+    """Whether one of these places belongs to a module, and the module can block an arm that reaches in."""
     specs = [state.bench.stations[place].spec for place in reached if place in state.bench.stations]
     return any(spec.module == module and not spec.stands_apart for spec in specs)
 
 
 def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> Wait | None:
-    """The wait for a zone that a run has to pass, while another arm stands still there."""
+    """The wait for a zone that a run still has to enter, if another arm has stopped in it."""
     zones = find_barred_zones(state, state.runs.plan_of(run).workcell)
     for step in left if zones else ():
         if step.exclusive and not step.recovers:
@@ -128,7 +127,7 @@ def _check_barred(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
 
 
 def _check_supplies(state: LabState, run: RunState) -> Wait | None:
-    """The wait for a resource, if less is left than one of the run's steps needs."""
+    """The wait for a resource, if less is left than one of the run's remaining steps needs."""
     used = state.runs.plans[run.plan].uses_up
     states = list_statuses(state.runs.plan_of(run), run) if used else ()
     for index, module, resource, amount in used:
@@ -142,9 +141,9 @@ def _check_supplies(state: LabState, run: RunState) -> Wait | None:
 
 
 def _check_labware(state: LabState, run: RunState) -> Wait | None:
-    """The wait of a step that could start but for its labware, which is not as the step or the place needs
-    it: of a type that the place does not take or the arm cannot hold, the wrong way round, sealed or
-    lidded."""
+    """The wait for labware, if each step whose turn it is waits for labware that does not fit. The place does
+    not accept its type, the arm cannot hold it, it lies the wrong way round, or it is sealed or lidded. None
+    while a step is in flight."""
     if not run.has_started:
         return _check_labware_ahead(state, run)
     if run.has(IN_FLIGHT):
@@ -155,8 +154,8 @@ def _check_labware(state: LabState, run: RunState) -> Wait | None:
 
 
 def _check_labware_ahead(state: LabState, run: RunState) -> Wait | None:
-    """The wait for labware that a run will find on the bench once it is let in, and that is not as one of its
-    steps needs it."""
+    """The wait for labware that a run will use after its admission, if the labware does not meet the
+    requirements of a step. Steps under a condition are left out."""
     way = _LabwareAhead(state, run)
     for step in state.runs.plan_of(run).steps:
         if step.part == MAIN and step.when is None:
@@ -167,7 +166,7 @@ def _check_labware_ahead(state: LabState, run: RunState) -> Wait | None:
 
 
 class _LabwareAhead:
-    """The labware that a run will meet, as it stands now and also where it is lent to somebody, and what the
+    """The labware that a run will use, where it stands now, even if it is lent to another run; and what the
     run will have changed of it."""
 
     def __init__(self, state: LabState, run: RunState) -> None:
@@ -176,7 +175,8 @@ class _LabwareAhead:
         self._changed: set[tuple[LabwareId, str]] = set()
 
     def find_misfit(self, step: PlanStep) -> Wait | None:
-        """What is not as a step needs it; then as the step leaves it."""
+        """The wait for labware that does not meet a step's requirements; None if there is none. Notes what
+        the step changes."""
         subject: Labware | None = None
         for effect in step.effects:
             match effect:

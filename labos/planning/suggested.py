@@ -1,25 +1,25 @@
 """Following a suggested order.
 
-A step waits while another that was suggested to go before it, and takes what it takes, has not started. That
-is all a suggestion does: rules, windows, deadlock avoidance and the patience of others are asked as without
-it. So that bad advice does little harm, a step waits for another only
+A step waits while another step has not started that is earlier in the order and needs the same module, zone
+or place. Rules, windows, deadlock avoidance and the limit for overtakings are checked as without an order.
+Bad advice must do little harm. So a step waits for another step only
 
-- while something moves in the workcell: where nothing does, nobody waits for advice;
-- until that other should have started, and ``GRACE_S`` after that;
+- while something moves in the workcell;
+- until ``GRACE_S`` after the time at which the other step should have started;
 - for ``MOST_S`` in all, whatever is suggested meanwhile;
-- if its own run is not urgent, of a higher priority, or overtaken too often;
-- if it is named in the order as well, or would not free what it takes before the other's time. What an
-  order of the lab's own does not name always waits.
+- if its run has no higher priority, is not more urgent, and was not overtaken too often;
+- if the order names it too, or if it would not release what it takes before the other step's time. A step
+  that the lab's own order does not name always waits.
 
-No step waits for so long that a clock of its own run, which runs already, would be late. Steps before it may
-have ended sooner than planned, and the clock counts from there.
+No step waits so long that its run would miss a window whose clock is running. The order alone could cause
+this: earlier steps may have ended sooner than planned, and the clock counts from their end.
 
-A step that starts a clock waits until its own time as well: what has to follow it was given its time by the
-same plan. With the lab's own order where clocks run (``window_order``) so does a run that is to be let in.
-So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
+A step that starts a clock also waits until its own suggested time, because the steps that have to follow it
+have their times from the same plan. With the lab's own order where clocks run (``window_order``), a queued
+run does the same. So that windows are kept, the rehearsal tries the suggested times too (``keeping``).
 
-A run that a planner lets wait outside (``Suggested.outside``) waits for its start in the same way, so that it
-does not stand in others' way. An order of nothing but such starts orders nothing else.
+A planner may let a run wait outside (``Suggested.outside``), so that it does not block other runs. Such a run
+waits for its suggested start in the same way. An order that has only such starts orders nothing else.
 """
 
 from __future__ import annotations
@@ -52,20 +52,21 @@ from labos.planning.urgency import is_urgent
 from labos.planning.window_order import OWN_WINDOWS
 
 GRACE_S = 60.0
-"""So many lab seconds after its time a step that has not started keeps nobody waiting any more."""
+"""This many lab seconds after its suggested time, no other step waits for a step that has not started."""
 
 MOST_S = 4 * 3600.0
-"""No step waits longer than that (lab seconds) for advice, counted from when it could have started. With that
-a planner that suggests again and again what cannot start stops nobody where something else always moves."""
+"""The longest time that a step waits for orders (lab seconds), from when it could have started. So a planner
+that repeatedly suggests what cannot start stops no step permanently, even if something else always moves."""
 
 LAST = 2**62
+"""The suggested start of a step for which nothing is suggested."""
 
 
 class OrderLookup(msgspec.Struct):
-    """A suggestion, ready to be asked: when each step should start; by resource (the key of a module or
-    station) the steps that take it, the earliest first; and by group of runs that wait in line, whose turn it
-    should be in it. ``least`` is the lowest priority of its runs; ``kept_out`` are those that wait outside
-    until their time."""
+    """An order, prepared for look-up. ``starts``: when each step should start (UTC ns). ``by_resource``: the
+    steps that take a module, zone or station (by its key), the earliest first. ``lines``: for each class of
+    queued runs (``queue_key``), their first steps in this order. ``least``: the lowest priority of its runs.
+    ``kept_out``: the runs that wait outside until their time."""
 
     order: OrderSuggested
     starts: dict[tuple[RunId, int], int]
@@ -76,8 +77,8 @@ class OrderLookup(msgspec.Struct):
 
 
 class Adviser:
-    """The suggestions of one state after the other, each put in order once. Where nobody suggests an order,
-    one counts that the lab has found by itself: ``own``, or ``windowed`` where clocks run."""
+    """Looks up steps in the orders that count; each order is prepared once. Without a planner's order, the
+    lab's own order counts: ``windowed`` where clocks run, else ``own``."""
 
     def __init__(self, own: OwnOrders | None, windowed: Mapping[str, OrderSuggested]) -> None:
         self.own = own if own is not None else OwnOrders(enough=0)
@@ -86,7 +87,8 @@ class Adviser:
         self._since: dict[tuple[RunId, int], int] = {}
 
     def start_of(self, state: LabState, run: RunState, step: int | None, now: int) -> int:
-        """When a step (of a run that waits: its first one) should start; ``LAST`` if nothing is suggested."""
+        """When a step should start (UTC ns); ``LAST`` if nothing is suggested. With ``step`` None, the run is
+        queued, and the earliest of its first steps counts."""
         advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
         if advice is None:
             return LAST
@@ -96,19 +98,20 @@ class Adviser:
         return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
 
     def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
-        """Whether a step should have started by now, by what was suggested."""
+        """Whether the suggested start of a step has come; False if nothing is suggested."""
         advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
         return advice is not None and self.start_of(state, run, step, now) <= now
 
     def wake_in_time(self, state: LabState, run: RunState, step: int, wait: Wait, now: int) -> Wait:
-        """The same wait, but until the time at which the step should start: no event marks that time."""
+        """The same wait, but at most until the suggested start of the step: no event marks that time."""
         begins = self.start_of(state, run, step, now) if state.suggestions.orders else LAST
         if now < begins < (LAST if wait.until is None else wait.until):
             return msgspec.structs.replace(wait, until=begins)
         return wait
 
     def find_next(self, state: LabState, run: RunState, now: int) -> RunState:
-        """Who should be let in of those who wait in line with this run, the first of them."""
+        """The run that should start next among the queued runs of one class, by the order. ``run`` is the
+        first of them; it is returned if nothing is suggested."""
         advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
         key = queue_key(state.runs.find_shape(run), run)
         for one in advice.lines.get(key, ()) if advice is not None else ():
@@ -129,9 +132,9 @@ class Adviser:
         now: int,
         follows_order: Callable[[], bool] | None = None,
     ) -> Wait | None:
-        """The wait of a start for steps that were suggested to go first; None if it may go ahead.
-        ``follows_order`` tells whether all goes as suggested, and all windows are kept then: else a run with
-        a running clock does not wait for the lab's own order."""
+        """The wait of a step for steps that should go first, or for its own suggested time. None if it may
+        start. ``follows_order`` returns whether all goes as suggested and all windows are kept. Otherwise a
+        run with a running clock does not wait for the lab's own order where clocks run."""
         plan = state.runs.plan_of(run)
         advice = self._find_advice(state, plan.workcell, now)
         if advice is None or plan.steps[step].part != MAIN or not state.actions.is_any_moving(plan.workcell):
@@ -157,7 +160,7 @@ class Adviser:
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
             return Wait(why_later, (cell_key(plan.workcell),), min(mine, last))
         for resource in _list_resources(state, plan.steps[step]):
-            # The lab's own orders name all that should start soon: what they do not name comes after them.
+            # The lab's own orders name all steps that should start soon. Other steps come after them.
             before = mine if mine < LAST or is_own else _find_release(state, plan, step, resource, now)
             for one in advice.by_resource.get(resource, ()):
                 if one.start >= before:
@@ -185,23 +188,23 @@ class Adviser:
         return None
 
     def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
-        """Whether a step has waited for so long that no order counts for it any more."""
+        """Whether a step has waited for orders longer than ``MOST_S``. The first call notes the time."""
         since = self._since[run.id, step] = min(self._since.get((run.id, step), now), now)
         return since + convert_lab_s(state, MOST_S) < now
 
     def has_order(self, state: LabState, cell: str, now: int) -> bool:
-        """Whether there is an order for a workcell."""
+        """Whether there is an order for a workcell. One that only lets runs wait outside does not count."""
         return self._find_order(state, cell, now) is not None
 
     def has_orders(self, state: LabState) -> bool:
-        """Whether there is an order for any workcell."""
+        """Whether there may be an order for any workcell. A suggestion that is over counts too."""
         return bool(state.suggestions.orders or self.own or self._windowed)
 
     def _find_order(self, state: LabState, cell: str, now: int) -> OrderSuggested | None:
         return find_order(state, self._windowed, cell, now) or self.own.find(cell)
 
     def _find_starts(self, state: LabState, cell: str, now: int) -> OrderSuggested | None:
-        """What a planner suggests, be it only when runs should start."""
+        """What a planner suggests, even if it only lets runs wait outside; else the order of the workcell."""
         return state.suggestions.find(cell, now) or self._find_order(state, cell, now)
 
     def _find_advice(self, state: LabState, cell: str, now: int) -> OrderLookup | None:
@@ -218,12 +221,12 @@ class Adviser:
 def find_order(
     state: LabState, windowed: Mapping[str, OrderSuggested], cell: str, now: int
 ) -> OrderSuggested | None:
-    """The order of a workcell: the one that a planner suggests, else the lab's own where clocks run."""
+    """The order of a workcell: a planner's, else the lab's own where clocks run. None if there is neither."""
     return find_suggested_order(state, cell, now) or windowed.get(cell)
 
 
 def find_suggested_order(state: LabState, cell: str, now: int) -> OrderSuggested | None:
-    """What a planner suggests, if that is more than when runs should start."""
+    """What a planner suggests; None if there is nothing, or if it only lets runs wait outside."""
     order = state.suggestions.find(cell, now)
     return order if order is not None and not all(one.outside for one in order.steps) else None
 
@@ -231,7 +234,7 @@ def find_suggested_order(state: LabState, cell: str, now: int) -> OrderSuggested
 def find_suggested_times(
     state: LabState, order: OrderSuggested | None, now: int
 ) -> dict[tuple[RunId, int], int]:
-    """When steps that have not started should start (UTC ns), if this order still counts."""
+    """When steps that have not started should start (UTC ns); empty if the order does not count any more."""
     if order is None or order.until <= now:
         return {}
     found: dict[tuple[RunId, int], int] = {}
@@ -243,8 +246,8 @@ def find_suggested_times(
 
 
 def find_last_start(state: LabState, run: RunState, step: int) -> int:
-    """When a step has to start at the latest (UTC ns), by usual durations, so that no window of its run whose
-    clock runs is missed; ``LAST`` if none runs."""
+    """The latest start of a step (UTC ns), by usual durations, with which its run misses no window with a
+    running clock. ``LAST`` if there is no such window. Windows that are missed already do not count."""
     last, plan = LAST, state.runs.plan_of(run)
     for index in state.runs.plans[run.plan].windowed if run.has_started else ():
         if not is_pending(run, index) or run.is_breached(index):
@@ -262,7 +265,8 @@ def find_last_start(state: LabState, run: RunState, step: int) -> int:
 def bring_forward(
     state: LabState, times: Mapping[tuple[RunId, int], int], now: int
 ) -> dict[tuple[RunId, int], int]:
-    """Suggested times, but none so late that a running clock would be late, if that can still be helped."""
+    """The suggested times. A time at which its run would miss a window with a running clock becomes earlier,
+    but not earlier than ``now``."""
     found: dict[tuple[RunId, int], int] = {}
     for (name, step), at in times.items():
         run = state.runs.active.get(name)
@@ -271,14 +275,14 @@ def bring_forward(
 
 
 def _has_clock(state: LabState, run: RunState) -> bool:
-    """Whether a clock of a run runs."""
+    """Whether a clock of a run is running for a step that has not started."""
     windowed = state.runs.plans[run.plan].windowed if run.has_started else ()
     return any(is_pending(run, i) and find_deadline(state, run, i) is not None for i in windowed)
 
 
 def _find_release(state: LabState, plan: Plan, step: int, resource: str, now: int) -> int:
-    """When a step that starts now frees a resource again (UTC ns): a place that it fills, once a later step
-    of its run has emptied it."""
+    """When a step that starts now releases a resource (UTC ns), by usual durations: when it ends. It releases
+    a place that it fills when a later step of its run has emptied it."""
     release = now
     for later in plan.steps[step:]:
         release += find_usual_time(state, later)
@@ -298,7 +302,7 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
         advice.starts[one.run, one.step] = one.start
         advice.least = min(advice.least, run.priority)
         is_first = not run.has_started and one.step in state.runs.plans[run.plan].starts
-        if is_first and not one.outside:  # others of its line do not wait with it
+        if is_first and not one.outside:  # the other runs of its class do not wait outside
             advice.lines.setdefault(queue_key(state.runs.find_shape(run), run), []).append(one)
         for resource in _list_resources(state, state.runs.plan_of(run).steps[one.step]):
             advice.by_resource.setdefault(resource, []).append(one)
@@ -307,7 +311,7 @@ def _put_in_order(state: LabState, order: OrderSuggested) -> OrderLookup:
 
 
 def _list_resources(state: LabState, step: PlanStep) -> list[str]:
-    """The keys of what steps take in a suggested order: also the places that they fill."""
+    """The keys of what a step takes in an order. Places that it fills count too, except stacks and waste."""
     filled = (what.filled for what in list_carried(step.effects) if what.filled)
     places = [p for p in filled if state.bench.stations[p].spec.kind not in ("stack", "waste")]
     return list(dict.fromkeys([*list_taken(state, step), *map(station_key, places)]))

@@ -1,7 +1,7 @@
-"""A way to the end for everybody inside, taken from a suggested order.
+"""A way to the end for all runs inside, taken from a suggested order.
 
-Where many runs share few places, a search for such a way may end before it has found one. A suggested order
-is one more way to try. It is tried like any other: every motion has to be possible.
+If many runs share few places, the search for such a way may end before it has found one. A suggested order is
+one more way to try. It is tried like any other way: every motion has to be possible.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from labos.planning.witness import Trail, Witness, copy_actor, finish_one_by_one
 def follow_order(
     state: LabState, cell: str, floor: Floor, actors: Sequence[Actor], wanted: set[str]
 ) -> Witness | None:
-    """A witness that brings all that are ``wanted`` to their ends in the order that is suggested for a
-    workcell, and those that it does not name after them; None if there is no order, or it brings one of them
-    to a stand. Changes neither floor nor actors."""
+    """A witness that brings all ``wanted`` actors to their ends. It follows the order that is suggested for a
+    workcell; what the order does not name comes after it. None if there is no order, or if a wanted actor
+    cannot reach its end with it. Changes neither floor nor actors."""
     order = state.suggestions.orders.get(cell)
     if order is None or not order.steps:
         return None
@@ -29,7 +29,7 @@ def follow_order(
     mark = len(floor.changes)
     trail: Trail = []
     left = {name: {motion.step for motion in actor.motions[actor.done :]} for name, actor in here.items()}
-    # Who waits outside is not here; some steps are over, or move nothing.
+    # The order may name runs that wait outside, steps that are over, and steps that move nothing.
     moving = ((here[one.run], one.step) for one in order.steps if one.step in left.get(one.run, ()))
     waiting: list[Actor] | None = None
     if all(step in list_next_steps(actor) and take_step(floor, actor, step, trail) for actor, step in moving):

@@ -1,4 +1,4 @@
-"""Whether what is there is enough for all runs, or some will find too little."""
+"""Whether the supplies are enough for all runs, or too low for some of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from labos.core.state import LabState
 from labos.planning.forecast import is_pending
 
 SupplyNeeds = tuple[tuple[tuple[ModuleName, str], float], ...]
-"""How much a run uses up in all: of which module, of what."""
+"""The amounts that a run uses up in all: ((module, resource), amount)."""
 
 
 def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
@@ -46,7 +46,7 @@ def are_enough(state: LabState, runs: Iterable[RunState]) -> bool:
 
 
 class Spares:
-    """What a run that is let in finds of each supply. ``forget`` it once anything has happened."""
+    """What an admitted run finds of each supply. Call ``forget`` after each event."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[ModuleName, str], tuple[float, float]] = {}
@@ -55,8 +55,8 @@ class Spares:
         self._known.clear()
 
     def are_enough(self, state: LabState, needs: SupplyNeeds) -> bool:
-        """Whether a run that uses up so much of each supply may start as far as that goes. Also False where
-        packs may be too old for it."""
+        """Whether the supplies allow the start of a run that uses up these amounts. Also False if packs may
+        be too old for it."""
         for supply, amount in needs:
             known = self._known.get(supply)
             if known is None:

@@ -1,4 +1,4 @@
-"""What one step at a time may have, and where labware takes room."""
+"""What only one step at a time may use, and where labware takes up room."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from labos.core.zones import find_zones
 
 
 def list_taken(state: LabState, step: PlanStep) -> list[str]:
-    """The keys of what one step at a time may have, as long as it lasts: its module and zones, the modules
-    that a hand reaches into, and the place where it changes its grip."""
+    """The keys of what only one step at a time may use, for the duration of this step: its module and zones,
+    the modules into which a hand reaches, and the station at which it changes its grip."""
     found: dict[str, bool] = {}
     if step.exclusive:
         found[module_key(step.module)] = True
@@ -28,8 +28,8 @@ def list_taken(state: LabState, step: PlanStep) -> list[str]:
 
 
 def list_counted_keys(state: LabState, place: StationName) -> list[str]:
-    """The keys of what labware at a place takes room in: the place, and its deck; nothing where there is
-    always room."""
+    """The keys of what labware at a place takes up room in: the place and its deck. Empty if there is always
+    room, or if the station is unknown."""
     station = state.bench.stations.get(place)
     if station is None or station.spec.kind in ("stack", "waste"):
         return []
@@ -42,12 +42,12 @@ def is_deck(key: str) -> bool:
 
 
 def find_station(state: LabState, key: str) -> StationState | None:
-    """The station whose key this is; None if it is the key of something else."""
+    """The station of a key; None if the key is of another kind or the station is unknown."""
     kind, name = split_key(key)
     return state.bench.stations.get(StationName(name)) if kind == "station" else None
 
 
 def count_room(state: LabState, station: StationState) -> int:
-    """How much labware there is room for at a station: in a hotel, on all its shelves."""
+    """The pieces of labware for which a station has room; for a hotel, the sum of all its shelves."""
     shelves = state.bench.shelves.get(station.spec.name, [])
     return sum(state.bench.stations[shelf].spec.capacity for shelf in shelves) or station.spec.capacity

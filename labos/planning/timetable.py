@@ -1,8 +1,8 @@
-"""When the steps of a plan would run if it had the bench to itself and all took their nominal time.
+"""When the steps of a plan would run if it were alone on the bench and all steps took their nominal time.
 
-A step starts when its predecessors are done, what it waits for has passed, and its module and the
-zones that it reaches into are free.
-Of steps that could start at the same time, the one that is written first goes first.
+A step starts when the steps before it are done and its waits have passed. Its module and the zones that it
+reaches into must be free. If several steps could start at the same time, the one that is written first goes
+first.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from labos.core.zones import find_zones_reached
 
 
 class Slot(msgspec.Struct, frozen=True):
-    """A step's time, in seconds from the start of the run. ``held_by`` is the step whose end it
-    starts at or waits after, if any; ``late_s`` is how much it misses a window by."""
+    """The time of a step, in seconds from the start of the run. ``held_by`` is the step whose end, with a
+    wait, decides its start, if there is one. ``late_s`` is the time by which it misses a window."""
 
     start_s: float
     end_s: float
@@ -30,8 +30,8 @@ class Slot(msgspec.Struct, frozen=True):
 
 
 class Timetable(msgspec.Struct, frozen=True):
-    """The slots by step. ``critical`` steps follow one another to the run's end: shortening
-    one of them shortens the run, until another path is the longest."""
+    """The slots of the steps. The ``critical`` steps follow one another to the end of the run. If one of them
+    becomes shorter, the run becomes shorter, until another path is the longest."""
 
     slots: tuple[Slot, ...]
     critical: tuple[int, ...]
@@ -40,8 +40,8 @@ class Timetable(msgspec.Struct, frozen=True):
 
 
 def make_timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
-    """Lay out a plan whose steps do not wait in a circle, if nothing of it fails or is left out; the zones
-    are the workcell's. Steps for emergencies have no time."""
+    """The timetable of a plan if no step fails or is left out. Its steps must not wait for each other in a
+    circle. The zones are those of the workcell. Steps after a cancellation have no time."""
     slots: dict[int, Slot] = {}
     free: dict[str, int] = {}
     needs = [find_occupied(step, workcell) for step in plan.steps]
@@ -64,8 +64,8 @@ def make_timetable(plan: Plan, workcell: Workcell | None = None) -> Timetable:
 
 
 def with_learned(plan: Plan, lengths: Lengths, pace: float) -> Plan:
-    """A plan whose steps last as long as such steps have usually taken in a lab, where it knows; ``pace`` is
-    the lab's."""
+    """The plan with the learned usual durations where the lab knows them. Steps of people keep their
+    durations. ``pace`` is the speed-up factor of the lab."""
     return msgspec.structs.replace(
         plan, steps=tuple(_with_learned(step, lengths, pace) for step in plan.steps)
     )
@@ -79,8 +79,8 @@ def _with_learned(step: PlanStep, lengths: Lengths, pace: float) -> PlanStep:
 
 
 def find_setups(plan: Plan, workcell: Workcell, order: Sequence[int]) -> dict[int, float]:
-    """How much longer steps take as their module has to be set up for them (lab seconds), if they are carried
-    out in this order. For what it is set up before is not known: its first step takes a change."""
+    """How much longer steps take in this order because their modules are set up for them (lab seconds). The
+    set-up of a module at the start is not known: the first step that needs one counts as a change."""
     setups = {module.name: module.setup for module in workcell.modules if module.setup is not None}
     values: dict[ModuleName, Any] = {}
     found: dict[int, float] = {}
@@ -96,7 +96,7 @@ def find_setups(plan: Plan, workcell: Workcell, order: Sequence[int]) -> dict[in
 
 
 def with_setups(plan: Plan, setups: Mapping[int, float]) -> Plan:
-    """A plan whose steps last longer by what is set up before them."""
+    """The plan with the time for set-ups added to its steps."""
     if not setups:
         return plan
     steps = tuple(
@@ -107,7 +107,7 @@ def with_setups(plan: Plan, setups: Mapping[int, float]) -> Plan:
 
 
 def sum_consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
-    """How much the plan uses up if nothing of it fails, by module and resource."""
+    """The amounts that the plan uses up if no step fails, by module and resource."""
     used: dict[tuple[ModuleName, str], float] = {}
     for step in _list_usual_steps(plan):
         for effect in step.effects:
@@ -118,7 +118,7 @@ def sum_consumption(plan: Plan) -> dict[tuple[ModuleName, str], float]:
 
 
 def count_taken(plan: Plan) -> dict[StationName, int]:
-    """How many pieces of labware the plan takes from each stack."""
+    """The number of pieces of labware that the plan takes from each stack."""
     pieces: dict[StationName, int] = {}
     for step in _list_usual_steps(plan):
         for what in list_carried(step.effects):
@@ -132,7 +132,8 @@ def _list_usual_steps(plan: Plan) -> list[PlanStep]:
 
 
 def _list_anchors(step: PlanStep) -> list[tuple[int, float, float | None]]:
-    """The step's windows within the plan: step, least and greatest time after its end."""
+    """The step's windows within the run: the step from whose end it counts, the least and the greatest
+    time."""
     return [(w.anchor, w.wait_s, w.within_s) for w in step.windows if w.anchor is not None]
 
 
@@ -142,7 +143,7 @@ def find_before(step: PlanStep) -> set[int]:
 
 
 def find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
-    """The module and the zones that a step has to itself."""
+    """The module and the zones that a step has exclusively. Without a workcell, no zones are known."""
     if not step.exclusive:
         return ()
     if workcell is None:
@@ -155,7 +156,7 @@ def find_occupied(step: PlanStep, workcell: Workcell | None) -> tuple[str, ...]:
 def _start(
     step: PlanStep, slots: dict[int, Slot], free: dict[str, int], needs: tuple[str, ...]
 ) -> tuple[float, int | None]:
-    """When the step can start, and the step that decides it."""
+    """The time at which the step can start, and the step that decides this time (None: no step)."""
     holds = [(slots[index].end_s, index) for index in step.after]
     holds += [(slots[anchor].end_s + wait_s, anchor) for anchor, wait_s, _ in _list_anchors(step)]
     holds += [(slots[free[name]].end_s, free[name]) for name in needs if name in free]
@@ -172,7 +173,7 @@ def _measure_lateness_s(step: PlanStep, start_s: float, slots: dict[int, Slot]) 
 
 
 def _find_critical_steps(slots: tuple[Slot, ...], total_s: float) -> tuple[int, ...]:
-    """The steps that decide the end, from the first to the last."""
+    """The steps that decide the end of the run, from the first to the last."""
     path: list[int] = []
     index = next((index for index, slot in enumerate(slots) if slot.end_s == total_s), None)
     while index is not None:

@@ -1,4 +1,4 @@
-"""Which waits an event may end: the keys it touches."""
+"""The keys that an event touches. The event may end the waits for these keys."""
 
 from __future__ import annotations
 
@@ -91,17 +91,17 @@ from labos.core.users import GroupRemoved, MemberAdded, MemberRemoved
 from labos.core.zones import find_zones
 
 EVERYTHING = "*"
-"""The key of rare events after which every wait is looked at again."""
+"""The key of rare events after which every wait is checked again."""
 
 
 BENCH, STANDING, OVER, BOOKING = "bench", "standing", "over", "booking"
 RUN, BEGUN, DUE, WINDOW = "run", "begun", "due", "window"
-"""Kinds of keys, which stand before the colon."""
+"""The kinds of keys: the part of a key before the colon."""
 
 
 class Touched(msgspec.Struct, frozen=True):
-    """Keys of events, sorted, and the names in them by kind. Those of ``EVERYTHING`` are the workcells of
-    which every wait is looked at again; with ``whole``, those of the whole lab are."""
+    """The sorted ``keys`` of events, and the names in them by kind (``named``). Under ``EVERYTHING`` are the
+    workcells in which every wait is checked again. With ``whole``, every wait of the lab is checked again."""
 
     keys: list[str] = []
     named: dict[str, list[str]] = {}
@@ -109,7 +109,7 @@ class Touched(msgspec.Struct, frozen=True):
 
 
 def sort_keys(keys: Iterable[str]) -> Touched:
-    """These keys, each once."""
+    """These keys, each once, sorted and by kind."""
     ordered = sorted(set(keys))
     named: dict[str, list[str]] = {}
     for key in ordered:
@@ -122,63 +122,63 @@ def sort_keys(keys: Iterable[str]) -> Touched:
 
 
 def every_wait_key(cell: str) -> str:
-    """The key of events after which every wait in a workcell is looked at again."""
+    """The key of events after which every wait in a workcell is checked again."""
     return f"{EVERYTHING}{cell}"
 
 
 def bench_key(cell: str) -> str:
-    """The key of events that change what stations and modules there are in a workcell."""
+    """The key of events that change the stations and modules of a workcell, or shares and groups of users."""
     return f"{BENCH}:{cell}"
 
 
 def cell_key(cell: str) -> str:
-    """Touched when anything in a workcell may have become safer."""
+    """Touched when a start in a workcell may have become safe."""
     return f"cell:{cell}"
 
 
 def near_key(cell: str) -> str:
-    """Touched by everything that happens in a workcell."""
+    """Touched by every event in a workcell that touches any key."""
     return f"near:{cell}"
 
 
 def labware_key(cell: str) -> str:
-    """Touched when labware may stand elsewhere in a workcell, or belong to somebody else."""
+    """Touched when the place or the owner of labware in a workcell may have changed."""
     return f"{STANDING}:{cell}"
 
 
 def list_cell_keys(cell: str) -> tuple[str, ...]:
-    """The keys of everything that may have happened in a workcell."""
+    """The keys of events that may end any wait in a workcell and may have moved labware there."""
     return (every_wait_key(cell), near_key(cell), labware_key(cell))
 
 
 def started_key(name: str) -> str:
-    """Touched when an experiment has begun, or a person is asked."""
+    """Touched when an experiment begins, or a person is asked a question."""
     return f"{BEGUN}:{name}"
 
 
 def ended_key(name: str) -> str:
-    """Touched when a run or an experiment has ended, or a question is answered: every wait in its workcell
-    is looked at again."""
+    """Touched when a run or an experiment has ended, or a question is answered. Every wait in its workcell is
+    checked again."""
     return f"{OVER}:{name}"
 
 
 def due_key(name: str) -> str:
-    """Touched when the time that an action or a question has may be another than it was."""
+    """Touched when the deadline of an action or a question may have changed."""
     return f"{DUE}:{name}"
 
 
 def is_key_of_all(key: str) -> bool:
-    """Whether a key stands for all waits of a workcell, or of the lab."""
+    """Whether a key stands for all waits of a workcell or of the lab."""
     return key.startswith((EVERYTHING, ended_key("")))
 
 
 def window_key(run: RunId) -> str:
-    """Touched when a run whose clock runs, or is about to, has come further."""
+    """Touched when a run with windows starts or ends a step, misses a window or is cancelled."""
     return f"{WINDOW}:{run}"
 
 
 def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
-    """The keys that an event touches; called after it was folded."""
+    """The keys that an event touches. Call this after the event was folded."""
     cell = _find_cell(state, event)
     keys = _find_touched_keys(state, event, every_wait_key(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
@@ -187,13 +187,13 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
         keys = (*keys, QUOTA_KEY)
     if not cell or not keys:
         return keys
-    # What an action did to labware follows as events of their own.
+    # The changes that an action made to labware follow as separate events.
     stays = isinstance(event, ActionSucceeded) or (isinstance(event, ActionRequested) and not event.effects)
     return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), labware_key(cell))
 
 
 def _find_cell(state: LabState, event: Event) -> str:
-    """The workcell in which an event happens; empty if it cannot be told."""
+    """The workcell in which an event happens; empty if it is not known."""
     if isinstance(event, WorkcellApplied | StationsApplied):
         return event.name
     for field in _PLACES:
@@ -209,11 +209,11 @@ def _find_cell(state: LabState, event: Event) -> str:
 
 
 _PLACES = ("module", "station", "source", "where", "stack")
-"""Fields of events that name a module or a station."""
+"""The fields of events that name a module or a station."""
 
 
 def find_cell_of_run(state: LabState, run: str) -> str:
-    """The workcell of a run that has not ended; empty if there is none."""
+    """The workcell of a run that has not ended; empty if there is no such run."""
     known = state.runs.get(run)
     return state.runs.plan_of(known).workcell if known is not None else ""
 
@@ -227,20 +227,20 @@ _LESS_IS_TO_COME = (
     RunCancelling,
     RunLeaving,
 )
-"""After these a run that is under way may have less of its user's quota than before."""
+"""After these events, a started run may need less of its user's quota than before."""
 
 
 def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[str, ...]:
-    """The keys that an event touches; ``everything`` is the key of its workcell."""
+    """The keys that an event touches. ``everything`` is the key of all waits of its workcell or the lab."""
     match event:
         case ActionRequested():
-            # Safety counts what is in flight as done: others may be safe from now on.
+            # Safety counts an action in flight as done. So other starts may be safe from now on.
             return (cell_key(workcell_of(event.module)), *_list_window_keys(state, event.run))
         case LevelSet() | ResourceReplenished():
-            # Who could not go on is in nobody's way any more.
+            # A run that was blocked may continue, so it is no obstacle to other runs any more.
             return (module_key(event.module), cell_key(workcell_of(event.module)))
         case ActionSucceeded():
-            # What is in flight keeps its place in case it fails: others may be safe from now on.
+            # Places were kept in case the action failed. Now they are free, so other starts may be safe.
             return (
                 module_key(event.module),
                 cell_key(workcell_of(event.module)),
@@ -269,12 +269,12 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case StationDeclared() | WasteEmptied() | StationLoaded() | StationUnloaded() | StationObserved():
             return (*_list_station_keys(state, event.station), cell_key(workcell_of(event.station)))
         case RunBound():
-            # Of one that was let in, its way is another one now.
+            # Only a run that has started is bound with ``why``. Its path is a different one now.
             return (everything, run_key(event.run)) if event.why else ()
         case RunStarted() | RunSubmitted() | StepRetried():
             return (run_key(event.run),)
         case StepSkipped() | StepRecovering() | StepUnexpected() | RunLeaving():
-            # Its way is another one now: others may be safer for it, or hold what it let go of.
+            # The path of the run has changed: other starts may be safe, or may hold what the run released.
             return (everything, run_key(event.run))
         case RunCompleted() | RunFailed() | RunCancelled():
             return (ended_key(event.run), QUOTA_KEY) if state.shares.digest else (ended_key(event.run),)
@@ -313,14 +313,14 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case AccessRequested() | AccessGranted() | AccessEnded():
             return (*list_cell_keys(event.name), access_key(event.name))
         case ApprovalGiven():
-            cell = find_cell_of_run(state, event.subject)  # others may be safe or not with it
+            cell = find_cell_of_run(state, event.subject)  # it may make other starts safe or unsafe
             return (every_wait_key(cell), run_key(RunId(event.subject))) if cell else ()
         case RunPaused() | RunResumed() | RunApproved():
             return (everything, run_key(event.run))
         case StartsPaused() | StartsResumed():
             return _list_target_keys(state, event.target)
         case ExperimentCancelled() | ExperimentClosing():
-            # What it parks will be cleared away: others' ways may be free now.
+            # Its parked labware will be cleared away, so the paths of other runs may be free.
             return _list_experiment_keys(state, event.experiment)
         case ExperimentEnded():
             return (ended_key(event.experiment),)
@@ -333,13 +333,14 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
 
 
 def _list_target_keys(state: LabState, target: str) -> tuple[str, ...]:
-    """Where starts are paused: on a module, in a workcell; else everywhere."""
+    """The keys of the workcell in which starts are paused; of the lab if the target is in no workcell."""
     cell = workcell_of(ModuleName(target))
     return list_cell_keys(cell) if cell in state.lab.workcells else (EVERYTHING,)
 
 
 def _list_booking_keys(state: LabState, event: BookingEvent) -> tuple[str, ...]:
-    """The workcell in which something is booked; everywhere, where the booking is not known any more."""
+    """The keys of the workcell of a booking; of all workcells if the booking is not known any more. No keys
+    if it only begins soon."""
     if isinstance(event, BookingNeared):
         return ()
     known = state.bookings.open.get(event.booking)
@@ -349,7 +350,7 @@ def _list_booking_keys(state: LabState, event: BookingEvent) -> tuple[str, ...]:
 
 
 def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...]:
-    """The workcells in which an experiment has runs, or in which it closes."""
+    """The keys of the workcells in which an experiment has runs or closes; of the lab if it is not known."""
     known = state.experiments.open.get(name)
     if known is None:
         return (EVERYTHING,)
@@ -360,13 +361,13 @@ def _list_experiment_keys(state: LabState, name: ExperimentId) -> tuple[str, ...
 
 
 def find_cell_of_closing(state: LabState, experiment: str) -> str:
-    """The workcell in which an experiment closes; empty if it has no closing workflow."""
+    """The workcell of an experiment's closing workflow; empty if it has none."""
     known = state.experiments.open.get(ExperimentId(experiment))
     return state.runs.plans[known.closing].plan.workcell if known is not None and known.closing else ""
 
 
 def _list_released_modules(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
-    """The modules that a run held until this step by its plan's word."""
+    """The keys of the modules that a plan holds for its run until this step, and of their workcells."""
     run = state.runs.active.get(event.run)
     holds = state.runs.plan_of(run).holds if run is not None else ()
     freed = [hold.module for hold in holds if hold.last == event.step]
@@ -374,7 +375,7 @@ def _list_released_modules(state: LabState, event: ActionSucceeded) -> tuple[str
 
 
 def _list_left_zones(state: LabState, event: ActionSucceeded) -> tuple[str, ...]:
-    """The zones that an arm has come out of; the end of a run wakes everybody anyway."""
+    """The keys of the zones that an arm has left. If the run has ended, none: all waits are checked then."""
     run = state.runs.active.get(event.run)
     if run is None:
         return ()
@@ -387,7 +388,8 @@ def _list_window_keys(state: LabState, run: RunId) -> tuple[str, ...]:
 
 
 def _list_station_keys(state: LabState, name: StationName) -> tuple[str, ...]:
-    """A station, its hotel and its module: what leaves one station may free its module's others."""
+    """The keys of a station, its hotel and its module. Labware that leaves may free the module's other
+    stations."""
     if not name:
         return ()
     station = state.bench.stations.get(name)

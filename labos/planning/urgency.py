@@ -1,4 +1,4 @@
-"""Campaigns whose deadline is near: their runs go before others of any priority."""
+"""Campaigns whose deadline is near: their runs go before other runs of any priority."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos.core.runs import RunState
 from labos.core.state import LabState
 
 MARGIN = 2.0
-"""A campaign is urgent once it has less than so many times the time left that it still needs."""
+"""A campaign is urgent once its deadline is at most this many times its expected remaining duration away."""
 
 
 def is_urgent(state: LabState, run: RunState, now: int) -> bool:
@@ -19,8 +19,9 @@ def is_urgent(state: LabState, run: RunState, now: int) -> bool:
 
 
 def find_urgent_from(state: LabState, campaign: Campaign, run: RunState) -> float:
-    """When a campaign becomes urgent, or has (UTC ns): before it is late, by what its rows have taken so far,
-    one with another, or what a run of it takes by its plan. Never, without a deadline."""
+    """The time from which a campaign is urgent (UTC ns); infinite without a deadline. Its remaining duration
+    is estimated from the time that each ended row took on average since the first start. If no row has ended,
+    the module time of the run's plan counts for each row."""
     if not campaign.terms.deadline:
         return float("inf")
     ended = campaign.completed + campaign.failed

@@ -1,10 +1,10 @@
-"""A copy of a lab's state, carried on in virtual time by the rules and the planning of the lab itself.
+"""Simulates a lab in virtual time: its own rules and its own planning continue a copy of its state.
 
-Steps start when planning proposes them, and end when their time has passed; rows of campaigns become runs,
-bookings begin and end, quotas and shares hold. Nothing fails, people do at once what a workflow asks of
-them, and nobody does anything else: what nobody has filled up stays empty, and a run that needs it stays.
+Steps start when planning proposes them, and end when their durations have passed. Rows of campaigns become
+runs, bookings begin and end, and quotas and shares apply. No action fails. People do at once what a workflow
+asks of them, and nothing else: an empty supply stays empty, and a run that needs it does not continue.
 
-Pure: how long a step takes is told by a function, and time is what the next end says.
+Pure: a function gives the duration of each action. Virtual time goes from one end or deadline to the next.
 """
 
 from __future__ import annotations
@@ -55,25 +55,27 @@ from labos.planning.sleepers import Name, Sleepers
 from labos.planning.touch import find_touched_keys
 
 MOST_RUNS = 200
-"""Runs that wait and are carried on; of more, the first of each user."""
+"""The most waiting runs that are simulated. If more wait, the first runs of each user are simulated. Also the
+most rows of each campaign that become runs."""
 
 MOST_STEPS = 10_000
-"""Steps after which a play is broken off."""
+"""The number of started steps after which a simulation stops."""
 
 Lasts = Callable[[Action, PlanStep], int]
-"""How long the action of a step takes from its request to its end (ns of wall time)."""
+"""The duration of a step's action, from its request to its end (ns of wall time). The time of a set-up before
+it is added to this."""
 
 MOST_ALARMS = 1_000
-"""Times that come one after the other without anything in flight before nothing is waited for any more: what
-is booked every day would go on for ever."""
+"""The most deadlines in a row for which a simulation waits while nothing is in flight. Without this limit, a
+booking for every day would keep it going without end."""
 
 OVERDUE = 0.05
-"""What takes longer than it should has this part of its time still to go."""
+"""An action that takes longer than expected is assumed to need this part of its time so far in addition."""
 
 
 class ForeseenTouch(msgspec.Struct, frozen=True):
-    """When a person is needed (UTC ns), for what, and what is to be done about it. ``planned``: a workflow
-    asks for it."""
+    """The time at which a person is needed (UTC ns), the reason, and what the person has to do. ``planned``:
+    a workflow asks for it."""
 
     at: int
     why: str
@@ -83,10 +85,14 @@ class ForeseenTouch(msgspec.Struct, frozen=True):
 
 
 class Play(msgspec.Struct):
-    """How it went: when runs started and ended (UTC ns), which of them failed, when a person was needed, and
-    why the runs that are left do not go on. ``steps`` were started, each when ``begun`` says (UTC ns), and
-    so many windows ``missed``. ``cut``: it was broken off. ``modules`` are those that runs have chosen, by
-    the steps' keys; ``experiments`` those of which runs are parts."""
+    """The result of a simulation. ``starts`` and ``ends`` of runs are in UTC ns; ``failed`` says why runs
+    failed or were cancelled. ``touches`` are the times at which a person is needed. ``stays`` says why each
+    remaining run does not continue. ``cut``: the limit of steps ended the simulation.
+
+    ``members`` are the campaigns of runs, and ``experiments`` their experiments. ``levels`` are the amounts
+    of resources at the end. ``steps`` is the number of started steps, ``begun`` their starts (UTC ns), and
+    ``missed`` the number of missed windows. ``modules`` are the modules that runs have chosen, by the steps'
+    keys."""
 
     starts: dict[RunId, int] = {}
     ends: dict[RunId, int] = {}
@@ -105,14 +111,16 @@ class Play(msgspec.Struct):
 
 
 HORIZON_NS = 30 * 24 * 3600 * 10**9
-"""Nothing that is further away than this from the last step is waited for."""
+"""The longest time after the last start for which a simulation waits while nothing is in flight (ns)."""
 
 
 class VirtualLab:
-    """Carries on a state that it owns from ``now`` (UTC ns). ``rows`` are the plans of rows of campaigns,
-    which stand for all their rows, in turn; ``most_rows`` of a campaign become runs. With ``orders``, it
-    looks for orders of its own as a lab does, and goes on from these; with None, the order is by age.
-    ``overtaken`` says how often waiting runs were overtaken before."""
+    """Simulates a lab from ``now`` on (UTC ns), and changes ``state``. ``rows`` are plans for the rows of
+    campaigns, each with its choices of modules. If there are fewer plans than rows, the rows use them in
+    turn. At most ``most_rows`` of a campaign become runs.
+
+    ``orders`` are the lab's own orders; the search for orders continues from them, as in a lab. With None,
+    the order is by age. ``overtaken`` says how often waiting runs were overtaken before."""
 
     def __init__(
         self,
@@ -155,7 +163,8 @@ class VirtualLab:
     # -- commands ----------------------------------------------------------------------------
 
     def submit(self, command: Command, actor: str) -> list[Event] | Rejection:
-        """Hand something in as somebody. It waits for nobody's approval."""
+        """Carry out a command of ``actor``; returns its events or the rejection. Its runs and campaigns need
+        no approval."""
         answer = self._ask(command, actor)
         for event in [] if isinstance(answer, Rejection) else answer:
             run = self.state.runs.queued.get(RunId(getattr(event, "run", "")))
@@ -166,7 +175,7 @@ class VirtualLab:
         return answer
 
     def approve(self, subject: str) -> None:
-        """Let a submission go on, or a change of a campaign be made, that waits for an approval."""
+        """Approve a submission, or an amendment of a campaign, that waits for an approval."""
         proposal = self.state.approvals.open.pop(subject, None)
         self._let_go_on(self.state.runs.queued.get(RunId(subject)))
         campaign = self.state.campaigns.open.get(CampaignId(subject))
@@ -175,7 +184,7 @@ class VirtualLab:
             self._open(campaign)
 
     def _let_go_on(self, run: RunState | None) -> None:
-        """A run that waits need not wait for a person any more."""
+        """From now on a waiting run needs no person's approval."""
         if run is not None and (run.held or run.unapproved):
             with requeue(self.state.runs, run):
                 run.held = run.unapproved = False
@@ -217,10 +226,11 @@ class VirtualLab:
             case _:
                 pass
 
-    # -- going on ----------------------------------------------------------------------------
+    # -- simulation --------------------------------------------------------------------------
 
     def go_on(self) -> Play:
-        """Carry on until nothing moves any more, or for so many steps."""
+        """Simulate until nothing can start or end any more, or until the limit of steps. Returns the
+        result."""
         self._start_and_feed()
         while not self.play.cut:
             at = self._find_next_time()
@@ -241,7 +251,8 @@ class VirtualLab:
         return self.play
 
     def _find_next_time(self) -> int | None:
-        """When something ends or is due; None if nothing is in sight that lets a run go on."""
+        """The next time at which an action ends or something is due (UTC ns). None if no run can continue at
+        such a time."""
         if self._flying:
             self._alarms = 0
         elif not (self.state.runs.active or self.state.runs.queued) or self._alarms >= MOST_ALARMS:
@@ -285,7 +296,7 @@ class VirtualLab:
         return ActionId(f"virtual-{self._count}")
 
     def _feed(self) -> bool:
-        """Let rows of campaigns become runs; whether any did."""
+        """Let rows of campaigns become runs. Returns whether any did."""
         fed = False
         for name, plans in self._rows.items():
             campaign = self.state.campaigns.open.get(name)
@@ -323,14 +334,15 @@ class VirtualLab:
             self._ask(FinishAction(action.id, action.attempt, True, "all"))
 
     def _set_end(self, action: Action) -> None:
-        """Work out when an action ends that is in flight."""
+        """Compute when an action in flight ends. It has no end if its outcome is unknown or its node is
+        gone."""
         module = self.state.modules.by_name[action.module]
         run = self.state.runs.active.get(action.run)
         if run is None or action.status == ActionStatus.UNKNOWN or module.status == ModuleStatus.GONE:
             return
         step = self.state.runs.plan_of(run).steps[action.step]
         end = action.requested_at + self._lasts(action, step) + find_setup_in_progress(self.state, action)
-        if action.together:  # its device ends them all at once: with the first of them
+        if action.together:  # the device ends all of them together: the first end that is found counts
             end = self._ends.setdefault(action.together[0], end)
         if end <= self.now:
             end = self.now + int(OVERDUE * (self.now - action.requested_at)) + 1
@@ -338,11 +350,12 @@ class VirtualLab:
         self._count += 1
         heapq.heappush(self._flying, (end if limit is None else min(end, limit - 1), self._count, action.id))
 
-    # -- what is noted -----------------------------------------------------------------------
+    # -- records -----------------------------------------------------------------------------
 
     def _pass_over_doubts(self) -> None:
-        """Set aside what virtual time cannot know: no results are read, no motion is checked by an observer,
-        and devices are at rest when their actions have ended."""
+        """Remove from the state what a simulation cannot know. No results are read, and no observer checks
+        motions. A device is idle when its action has ended. Also computes the ends of the actions in
+        flight."""
         state = self.state
         for known in state.runs.plans.values():
             known.plan = strip_results(known.plan)
@@ -388,7 +401,7 @@ class VirtualLab:
 
 
 class _ObservedSleepers(Sleepers):
-    """Sleepers that tell what they wait for."""
+    """Sleepers that report each new wait to ``hear``."""
 
     def __init__(self, hear: Callable[[Name, Wait], None]) -> None:
         super().__init__()
@@ -400,8 +413,8 @@ class _ObservedSleepers(Sleepers):
 
 
 def strip_results(plan: Plan) -> Plan:
-    """A plan whose steps do not read results of earlier ones: all of its steps are carried out, and all find
-    what they should."""
+    """A plan whose steps do not read results of earlier steps: all its steps are carried out, and no
+    expectation is checked. If it reads or checks a result, it also loses its effects on liquids."""
     if not plan.feeds and not any(step.when or step.expect for step in plan.steps):
         return plan
     return msgspec.structs.replace(plan, feeds=(), steps=tuple(map(_drop_results, plan.steps)))
@@ -417,8 +430,8 @@ def _drop_results(step: PlanStep) -> PlanStep:
 
 
 def keep_first(state: LabState, most: int = MOST_RUNS) -> int:
-    """Let all but the first runs of each user that wait go from a state; returns how many went. Runs with
-    a high priority go before, then users take turns."""
+    """Remove waiting runs from a state, except the first ``most``; returns how many were removed. Runs with a
+    higher priority are kept first. Among runs of equal priority, users take turns."""
     turns: dict[tuple[int, str], int] = {}
     order: list[tuple[int, int, int, RunId]] = []
     for run in state.runs.queued.values():

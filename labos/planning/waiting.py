@@ -1,10 +1,11 @@
-"""The waiting room: runs that wait to be let in, in bundles of those that wait for the same.
+"""The waiting room: the runs that wait for admission, in bundles of runs that wait for the same.
 
-Runs of one *class* (same priority, shape, user, experiment, campaign and due date) differ in nothing but age.
-Classes of one *bundle* may start under the same conditions: they have the same priority and shape, no
-clock runs for one and not for the others, neither their user nor their experiment has anything on the
-bench where it would make a difference, their user has no quota, and the same is booked for them. So one look
-serves for a whole bundle, and only when somebody of it may start does it matter who.
+Runs of one *class* differ only in age: they have the same priority, shape, user, experiment, campaign, due
+date and so on (``queue_key``). Classes of one *bundle* may start under the same conditions: they have the
+same priority and shape, the same running clocks and the same bookings. A user with a quota, or with labware
+where it makes a difference, has separate bundles. So has an experiment that has anything on the bench.
+
+One check is enough for a whole bundle. Only if one of its runs may start does it matter which one.
 """
 
 from __future__ import annotations
@@ -37,24 +38,25 @@ from labos.planning.layout import find_destination, list_labware_in
 from labos.planning.supplies import SupplyNeeds
 
 PATIENCE = 8
-"""After so many younger runs were let in before it, the oldest run of a bundle is protected: no
-other is let in that uses one of its modules."""
+"""The oldest run of a bundle is protected after this many younger runs were admitted before it: no other run
+is admitted that uses one of its modules."""
 
 PRIORITY_WEIGHT = 10
-"""So many runs of a higher priority, or of an urgent campaign, count as one: these go before age, but not for
-ever."""
+"""This many admitted runs of a higher priority, or of an urgent campaign, count as one: they go before older
+runs, but not without limit."""
 
 
 class Kind(msgspec.Struct, frozen=True):
-    """What decides whether the first steps of a bundle's runs are possible: ``starts``; and, where there may
-    be too little, ``needs``, what a run uses up in all with each of its plans."""
+    """What decides whether the first steps of a bundle's runs are possible: ``starts``. Where supplies may be
+    too low, also ``needs``: what a run uses up in all with each of its plans."""
 
     starts: tuple[Any, ...]
     needs: tuple[SupplyNeeds, ...] = ()
 
 
 class Bundle(msgspec.Struct):
-    """Classes that wait in one workcell; the oldest run of them, with its class, if it is known."""
+    """Classes that wait in one workcell. ``oldest`` is the position and the class of the oldest run; without
+    a class, that run is not known."""
 
     cell: str
     kind: Kind
@@ -63,8 +65,8 @@ class Bundle(msgspec.Struct):
 
 
 class WaitingRoom:
-    """Bundles by name, and how often the oldest of each was overtaken. Keeps nothing that could
-    not be worked out again from the state, but the counts. All runs of a bundle wait in one workcell."""
+    """The bundles by name, and how often the oldest run of each was overtaken. All but these counts can be
+    computed again from the state. All runs of a bundle wait in one workcell."""
 
     def __init__(self) -> None:
         self._bundles: dict[str, Bundle] = {}
@@ -77,17 +79,17 @@ class WaitingRoom:
         self._overtakings: dict[str, dict[RunId, float]] = {}
         self._gone: list[str] = []
 
-    # -- who is here -------------------------------------------------------------------------
+    # -- which runs wait ---------------------------------------------------------------------
 
     def fill(self, state: LabState) -> None:
-        """Everybody who waits comes into the room, which is empty."""
+        """Enter all waiting runs into the empty room."""
         for cell in state.lab.workcells:
             self._see(state, cell)
         for group in state.runs.queue:
             self._enter(state, group)
 
     def refill(self, state: LabState, cell: str) -> None:
-        """The bench of a workcell is another than it was: begin anew with everybody who waits there."""
+        """Enter all runs that wait in a workcell again, because its bench has changed."""
         self._interests.clear()
         self._see(state, cell)
         for bundle in self.list_in_cell(cell):
@@ -97,7 +99,7 @@ class WaitingRoom:
                     self._enter(state, group)
 
     def note(self, state: LabState, run: RunState) -> str:
-        """Somebody waits: the bundle, if it is one that nobody has looked at yet, else empty."""
+        """Enter a waiting run. Returns its bundle if the bundle is new, else an empty string."""
         group = queue_key(state.runs.find_shape(run), run)
         if group in self._bundle_of:
             return ""
@@ -105,16 +107,16 @@ class WaitingRoom:
         return bundle if len(self._bundles[bundle].classes) == 1 else ""
 
     def find_bundle(self, state: LabState, run: RunState) -> str:
-        """The bundle of a waiting run; empty if it is in none."""
+        """The bundle of a waiting run; empty if it has none."""
         return self._bundle_of.get(queue_key(state.runs.find_shape(run), run), "")
 
     def find_cell(self, bundle: str) -> str:
-        """The workcell in which a bundle waits; empty for one that is gone."""
+        """The workcell in which a bundle waits; empty if the bundle does not exist any more."""
         return self._bundles[bundle].cell if bundle in self._bundles else ""
 
     def follow(self, state: LabState, cells: Iterable[str]) -> list[str]:
-        """See whose labware stands elsewhere in these workcells than before; returns the bundles in which
-        their classes are now."""
+        """Note whose labware is at other places in these workcells than before. Returns the bundles that have
+        the classes of these users and experiments now."""
         groups: dict[str, bool] = {}
         for cell in cells:
             before = self._present.get(cell, {})
@@ -124,7 +126,7 @@ class WaitingRoom:
                 continue
             for owner in [o for o in before | present if before.get(o) != present.get(o)]:
                 of_owner = self._of_owner.get(owner, {})
-                # Whether an experiment has anything on the bench makes a difference everywhere.
+                # Whether an experiment has anything on the bench makes a difference in every workcell.
                 everywhere = known.get(owner, self._somewhere[owner] > 1) != (self._somewhere[owner] > 0)
                 for where in list(of_owner) if everywhere else [cell]:
                     groups.update(of_owner.get(where, {}))
@@ -136,7 +138,7 @@ class WaitingRoom:
         return list(bundles)
 
     def _see(self, state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
-        """Note whose labware stands in a workcell."""
+        """Note which users and experiments have labware in a workcell; returns the places of each."""
         present = _find_present(state, cell)
         self._somewhere.subtract(self._present.get(cell, {}).keys())
         self._somewhere.update(present.keys())
@@ -147,7 +149,7 @@ class WaitingRoom:
         return iter(list(self._bundles))
 
     def take_emptied(self) -> list[str]:
-        """The bundles that have come to an end since this was asked last."""
+        """The bundles that have become empty since the last call."""
         gone, self._gone = self._gone, []
         return [bundle for bundle in gone if bundle not in self._bundles]
 
@@ -159,13 +161,13 @@ class WaitingRoom:
         return bundle in self._bundles
 
     def find_kind(self, bundle: str) -> Kind:
-        """Bundles of one kind have the same answer as long as nothing happens."""
+        """The kind of a bundle. Bundles of one kind wait for the same as long as nothing happens."""
         return self._bundles[bundle].kind
 
-    # -- who is next -------------------------------------------------------------------------
+    # -- which run is next -------------------------------------------------------------------
 
     def find_any_run(self, state: LabState, bundle: str) -> RunState | None:
-        """Some run of a bundle: what one of them waits for, all of them wait for."""
+        """Some run of a bundle; None if it has none. All runs of a bundle wait for the same."""
         for group in self._list_classes(bundle):
             if group in state.runs.queue:
                 return find_head(state, group)
@@ -183,7 +185,7 @@ class WaitingRoom:
         return heads
 
     def find_oldest(self, state: LabState, bundle: str) -> RunState | None:
-        """Who has waited longest in a bundle."""
+        """The oldest run of a bundle; None if it has none."""
         known = self._bundles.get(bundle)
         if known is None:
             return None
@@ -203,8 +205,9 @@ class WaitingRoom:
     # -- runs that were overtaken ------------------------------------------------------------
 
     def let_in(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
-        """Count against the oldest of every bundle of the workcell, if it is older than the run let in and
-        needs one of its modules; only a little where that one went before by urgency or priority."""
+        """Count the admission of a run for the oldest run of every bundle of the workcell. It counts if that
+        run is older and needs one of the same modules. It counts as ``1 / PRIORITY_WEIGHT`` if the admitted
+        run has a higher priority or is ``urgent``."""
         cell = state.runs.plan_of(run).workcell
         mine = {step.module for step in state.runs.plan_of(run).steps}
         self.forget(run.id, cell)
@@ -217,16 +220,16 @@ class WaitingRoom:
                 self.overtake(state, elder, 1 / PRIORITY_WEIGHT if goes_first else 1)
 
     def overtake(self, state: LabState, elder: RunState, times: float = 1) -> None:
-        """A younger run of its workcell was let in before a run that waits."""
+        """Note that a younger run of the workcell was admitted before a waiting run. It counts ``times``."""
         counts = self._overtakings.setdefault(state.runs.plan_of(elder).workcell, {})
         counts[elder.id] = counts.get(elder.id, 0) + times
 
     def count_overtakings(self, cell: str, run: RunId) -> float:
-        """How often a run was overtaken in a workcell."""
+        """How often a waiting run was overtaken in a workcell, with the weights of the younger runs."""
         return self._overtakings.get(cell, {}).get(run, 0)
 
     def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
-        """The runs that were overtaken too often in a workcell."""
+        """The waiting runs that were overtaken too often in a workcell."""
         counts = self._overtakings.get(cell, {})
         for name in [name for name in counts if name not in state.runs.queued]:
             del counts[name]
@@ -235,13 +238,13 @@ class WaitingRoom:
     def is_overtaken(self, state: LabState, run: RunState) -> bool:
         """Whether a waiting run was overtaken too often."""
         overtaken = self.list_overtaken(state, state.runs.plan_of(run).workcell)
-        return any(other.id == run.id for other in overtaken)  # it may be here with another of its plans
+        return any(other.id == run.id for other in overtaken)  # the caller's run may have another plan
 
     def forget(self, run: RunId, cell: str) -> None:
-        """A run waits no more."""
+        """Forget a run that does not wait any more."""
         self._overtakings.get(cell, {}).pop(run, None)
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- bundles -----------------------------------------------------------------------------
 
     def _enter(self, state: LabState, group: str) -> str:
         run = find_head(state, group)
@@ -264,7 +267,7 @@ class WaitingRoom:
         if state.shares.list_limits(run.user):
             stake.append(Owner(f"quota:{run.user}"))
         if run.experiment and not self._somewhere[experiment]:
-            # Of experiments that have nothing on the bench only the way out differs.
+            # Experiments that have nothing on the bench differ only in their closing workflows.
             stake.append(Owner(f"closing:{closing}:{run.closing}"))
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
@@ -283,7 +286,7 @@ class WaitingRoom:
         return bundle
 
     def _list_stations(self, state: LabState, shape: str, plan: Plan) -> frozenset[StationName]:
-        """Stations at which it makes a difference to runs of a shape whose labware stands there."""
+        """The stations at which the owner of the labware makes a difference to runs of a shape."""
         found = self._interests.get(shape)
         if found is None:
             found = self._interests[shape] = _list_stations(state, plan)
@@ -320,14 +323,14 @@ def find_head(state: LabState, group: str) -> RunState:
 
 
 def _list_booked(state: LabState, run: RunState, cell: str) -> str:
-    """The bookings in a workcell that are for a run's user."""
+    """The ids of the bookings in a workcell that are for a run's user."""
     group = state.shares.group_of.get(run.user, "")
     return ",".join(b.id for b in state.bookings.list_in_cell(cell) if b.is_for(run.user, group))
 
 
 def _encode_starts(plan: PlanState) -> bytes:
-    """What decides whether a run with this plan may start, besides what all its steps use up: the first
-    steps."""
+    """The first steps of a plan as text. Apart from the supplies for all steps, they decide whether a run
+    with this plan may start."""
     steps = [plan.plan.steps[index] for index in plan.starts]
     first = [(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps]
     return msgspec.json.encode(first)
@@ -355,8 +358,8 @@ def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:
 
 
 def _find_present(state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
-    """Where users and experiments have labware in a workcell, or will have it; an experiment with a run
-    inside is there too."""
+    """The places in a workcell at which users and experiments have labware, or may have it after a motion. An
+    experiment with a run inside is included even without labware."""
     found: dict[Owner, set[StationName]] = {}
     for item in list_labware_in(state, cell):
         if split_key(item.owner)[0] in ("user", "experiment"):

@@ -1,14 +1,15 @@
-"""An order of one's own for runs with windows: which waiting run is let in when, and when clocks start.
+"""The lab's own order for runs with windows: when each waiting run starts, and when clocks start.
 
-Where clocks run, a run that is let in a little sooner or later may keep out others for long. So planning lays
-out the runs inside and the first that wait in a timetable (``chains``), in one order after the other: in turn
-each run has the earliest end that those before leave to it. The order after which all are over soonest is
-kept, and is where the next search begins. It is followed as if a planner had suggested it (``suggested``):
-the rules are asked as ever, and a start counts as planned only if a rehearsal shows that all windows are
-kept.
+Where clocks run, a run that starts a little earlier or later may delay others for long. So planning lays out
+the runs inside and the first waiting runs in a timetable (``chains``). It tries many orders of these runs. In
+each order, every run in turn gets the earliest end that the runs before it leave. The order with the soonest
+end of all is kept, and the next search begins with it. It is followed like a planner's suggestion
+(``suggested``): all rules are checked, and a start counts as planned only if all windows are kept in a
+rehearsal.
 
-There is no such order where a planner's counts, where all runs are of one kind, where some run has no
-windows, has doors or setpoints to care for, or has steps that do not follow one another.
+There is no such order while a planner's order is in force, or if all runs have the same plan. There is none
+either if a run has no windows, uses doors, setpoints or holds, or has steps that do not follow one another.
+The same applies to experiments, and to waiting runs that may choose a module.
 """
 
 from __future__ import annotations
@@ -30,82 +31,86 @@ from labos.planning.outline import Ways
 from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
 OWN_WINDOWS = "labos, windows"
-"""In place of the planner's name, in the lab's own order where clocks run."""
+"""The author of the lab's own order for windows, in place of a planner's name."""
 
 MOST_WAITING = 16
-"""So many runs that wait are laid out, the first ones."""
+"""The most waiting runs that are laid out. The first ones count."""
 
 TRIES_EACH = 25
-"""So many orders are tried for each run that waits, when something has happened."""
+"""The number of orders that one search tries for each waiting run."""
 
 MOST_TRIES = 160
-"""So many in all: they take some 50 ms of processor time, and the kernel does nothing else meanwhile."""
+"""The most orders that one search tries. They take about 50 ms of processor time; the kernel does nothing
+else meanwhile."""
 
 TRIES_NEW = 10
-"""So many in all, when somebody has submitted a run."""
+"""The number of orders that a search tries if only the waiting runs have changed, as after a submission."""
 
 ENOUGH_EACH = 430
-"""So many for each run that has come, in one turn of the kernel after the other, while nothing happens."""
+"""The number of orders that are tried for each waiting run before the search is over. While nothing happens,
+it goes on in one turn of the kernel after another."""
 
 BREATH_NS = 2_000_000
-"""The pause between two turns of a search: work that has to be done goes on meanwhile."""
+"""The pause between two turns of a search (ns). Other work is done in it."""
 
 LONGEST_SEARCH_NS = 10_000_000_000
-"""For so long (wall time) at most no run starts in an empty workcell because the search is going on."""
+"""The longest time (ns of wall time) for which no run starts in an empty workcell because of the search."""
 
 LOOK_NS = 1_000_000_000
-"""A run that waits for the end of the search is looked at again after so long at the latest."""
+"""A run that waits for the end of the search is checked again after this time at the latest (ns)."""
 
 WARMTH = 0.025
-"""An order that is worse by this part of the time that is left is still gone on with now and then."""
+"""The search sometimes continues from a worse order. The typical loss that it accepts is this part of the
+best value at the start of a cycle, and falls to zero at its end."""
 
 CYCLE = 1500
-"""After so many orders the search begins anew with the best one."""
+"""After this many orders, the search begins a new cycle with the best order."""
 
 WEIGHT_OF_MEAN = 0.1
-"""How much the middle of all ends counts beside the last one."""
+"""The weight of the mean of all ends in the value of an order. The last end has the weight 1."""
 
 LOST = 1000
-"""A run inside that does not fit in counts as so many that wait."""
+"""A run inside that does not fit in counts as this many waiting runs."""
 
 PUNCTUAL_S = 5.0
-"""So much later (lab seconds) than it should a step may start, and the order still counts."""
+"""The most (lab seconds) that a step may be behind its time in an order that still counts."""
 
 Value = tuple[int, float]
-"""How many runs do not fit in or are overtaken too often, and when all is over: less is better."""
+"""The value of an order; less is better. First, the number of runs that do not fit in or are overtaken too
+often. Then the last end, with the mean of all ends (slots)."""
 
 
 class CellSearch(msgspec.Struct):
-    """What is known of the search in one workcell."""
+    """The progress of the search in one workcell."""
 
     members: tuple[tuple[RunId, ...], tuple[RunId, ...]] | None = None
-    """The runs inside and those that wait for which was searched last."""
+    """The runs inside and the waiting runs of the last search."""
     line: list[RunId] | None = None
-    """The best order of the runs."""
+    """The best order of the runs. None if there is none."""
     last: list[RunId] = []
-    """The order with which the search ended."""
+    """The order with which the last search ended."""
     late: dict[RunId, bool] = {}
-    """Runs that did not start in time: they are left out."""
+    """The runs that did not start in time. They are left out."""
     seen: object = None
-    """How far the runs inside had come when one was late last."""
+    """The step statuses of the runs inside when a run was late last."""
     statuses: object = None
-    """How far they had come when the order was made."""
+    """The step statuses of the runs inside at the last search."""
     looked: int = 0
-    """When was searched last (UTC ns)."""
+    """The time of the last search (UTC ns)."""
     tried: int = 0
-    """How many orders were tried."""
+    """The number of orders that were tried."""
     waited_since: int | None = None
-    """Since when runs wait for the search in an empty workcell (UTC ns)."""
+    """The time since when runs wait for the search in an empty workcell (UTC ns)."""
 
     @property
     def goes_on(self) -> bool:
-        """Whether orders are still to be tried, even if nothing happens."""
+        """Whether the search goes on even if nothing happens."""
         return self.members is not None and self.tried < ENOUGH_EACH * len(self.members[1])
 
 
 class WindowOrders:
-    """The orders of workcells where clocks run. ``orders`` are those that count now; ``tries`` counts the
-    timetables that were made."""
+    """The lab's own orders of workcells where clocks run. ``orders`` are those in force; ``tries`` counts the
+    timetables that were made. ``patience`` is the number of younger runs that may go before a waiting one."""
 
     def __init__(self, patience: int) -> None:
         self.orders: dict[str, OrderSuggested] = {}
@@ -115,29 +120,29 @@ class WindowOrders:
         self._searches: dict[str, CellSearch] = {}
 
     def forget(self, cell: str) -> None:
-        """The bench of a workcell has changed."""
+        """Forget a workcell whose bench has changed."""
         self._ways.pop(cell, None)
         self.drop(cell)
 
     def remember(self, other: WindowOrders) -> None:
-        """Begin with the orders of another scheduler."""
+        """Take over the orders and searches of another scheduler."""
         self.orders.update(other.orders)
         for cell, search in other._searches.items():
             self._searches[cell] = msgspec.structs.replace(search, late=dict(search.late))
 
     def drop(self, cell: str) -> None:
-        """There is no order for a workcell any more."""
+        """Drop the order of a workcell and its search."""
         self.orders.pop(cell, None)
         self._searches.pop(cell, None)
 
     def find_next_look(self) -> int | None:
-        """When the search goes on even if nothing happens (UTC ns); None if it is over."""
+        """The next time at which a search goes on even if nothing happens (UTC ns); None if all are over."""
         searches = [self._searches[cell] for cell in self.orders]
         return min((search.looked + BREATH_NS for search in searches if search.goes_on), default=None)
 
     def is_too_early(self, state: LabState, cell: str, now: int) -> bool:
-        """Whether no run should start yet in an empty workcell, because an order is being searched: what the
-        first run does cannot be taken back."""
+        """Whether no run should start yet in an empty workcell, because the search goes on: the first start
+        cannot be undone. Notes since when runs wait for the search."""
         search = self._searches.get(cell)
         if cell not in self.orders or search is None or not search.goes_on or state.runs.list_inside(cell):
             return False
@@ -153,8 +158,9 @@ class WindowOrders:
         overtakings: Callable[[RunId], float],
         now: int,
     ) -> bool:
-        """See to it that the order of a workcell fits what is inside and waits (the first one first); returns
-        whether it is another one. ``overtakings`` tells how often a run was overtaken."""
+        """Bring the order of a workcell up to date with its runs inside and those ``waiting`` (the first one
+        first). Returns whether the order has changed, or a search is over for which runs waited.
+        ``overtakings`` returns how often a run was overtaken."""
         if state.suggestions.find(cell, now) is not None:
             self.drop(cell)
             return False
@@ -172,7 +178,8 @@ class WindowOrders:
             if order is None or search.looked == now:
                 return False
             if not is_waited_for and not _is_on_time(state, order, now):
-                # Once for all that has happened: what the rules do not let start is not waited for again.
+                # Only once for each progress of the runs inside: the rules do not let the late runs start, so
+                # the next order does not wait for them again.
                 seen = tuple(tuple(run.statuses) for run in inside)
                 if search.seen == seen:
                     return False
@@ -196,7 +203,7 @@ class WindowOrders:
         search.statuses = statuses
         is_over = is_waited_for and not search.goes_on
         if not is_over and is_same and order is not None and _is_on_time(state, order, now):
-            return False  # nothing has happened, and nothing better was found
+            return False  # nothing has changed, and no better order was found
         self.orders[cell] = found
         return is_over or order is None or order.steps != found.steps
 
@@ -209,14 +216,14 @@ class WindowOrders:
         now: int,
         tries: int,
     ) -> OrderSuggested | None:
-        """The best order of these runs in so many tries, also where a planner's order is followed now; None
-        if there is none. It is not kept in ``orders``."""
+        """The best order of these runs that is found with this number of tries; None if there is none. A
+        planner's order may be in force. The order is not kept in ``orders``."""
         inside = [run for run in runs if run.has_started]
         waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None
         self._searches.setdefault(cell, CellSearch())
         for tried in range(0, tries, CYCLE):
-            seed = now + tried * BREATH_NS  # other draws in each cycle, as if time went by
+            seed = now + tried * BREATH_NS  # each cycle draws other numbers, as at a later time
             found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE), seed)
             if found is None:
                 return None
@@ -235,9 +242,9 @@ class WindowOrders:
     ) -> OrderSuggested | None:
         plans = {run.plan for run in (*inside, *waiting)}
         if len(plans) < 2 or not all(state.runs.plans[name].windowed for name in plans):
-            return None  # a run without windows keeps the margin of reservations
+            return None  # a run without windows has to keep the margin of reservations
         if any(run.experiment or (run.choices and not run.has_started) for run in (*inside, *waiting)):
-            return None  # what else is to be done, or on which module, is not known
+            return None  # the experiment's later runs, or the chosen modules, are not known
         ways = self._ways.setdefault(cell, Ways())
         layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now)
         if layout is None:
@@ -267,7 +274,7 @@ class WindowOrders:
 
 
 class TriedOrder(msgspec.Struct):
-    """One order of the runs, how they fit in with it, and the timetables after each of them."""
+    """One order of the runs, how each of them fits in, and the timetable after each of them."""
 
     line: list[RunId]
     fits: list[Fit | None]
@@ -276,7 +283,7 @@ class TriedOrder(msgspec.Struct):
 
 
 class _Search:
-    """Tries orders of the runs of a layout."""
+    """A search that tries orders of the runs of a layout."""
 
     def __init__(self, layout: PlannedCell, seed: int) -> None:
         self.layout = layout
@@ -285,15 +292,15 @@ class _Search:
         self._older = [n for n, member in layout.members.items() if not member.run.has_started]
 
     def work(self, name: RunId) -> int:
-        """How long a run is at work if nothing is in its way (slots)."""
+        """The sum of the durations of the steps that a run has left (slots)."""
         return sum(leg.length for leg in self.layout.members[name].chain.legs)
 
     def improve(
         self, lines: Iterable[list[RunId]], tries: int, last: list[RunId] | None, tried: int
     ) -> tuple[TriedOrder | None, list[RunId]]:
-        """The best order found, beginning with the best of these, or with the ``last`` one of the search so
-        far; None if with none of them those inside fit in. And the one that the search ended with. ``tried``
-        says how many were tried before."""
+        """The best order found, and the order with which the search ended. The best order is None if a run
+        inside does not fit in with any of them. The search begins with the best of these ``lines``, or with
+        the ``last`` order of the search before. ``tried`` is the number of orders tried before."""
         here = best = min((self._try(line) for line in lines), key=lambda attempt: attempt.value)
         if last is not None and tried % CYCLE + tries < CYCLE:
             here = self._try(last)
@@ -311,7 +318,7 @@ class _Search:
         return (best if best.value[0] < LOST else None), here.line
 
     def _vary(self, line: list[RunId]) -> list[RunId]:
-        """Another order that is like this one."""
+        """A similar order: one or two times, a run is moved or two runs are exchanged."""
         other, count, draws = list(line), len(line), self._draws
         while other == line:
             for _ in range(1 if draws.next() < 0.8 else 2):
@@ -323,7 +330,8 @@ class _Search:
         return other
 
     def _try(self, line: list[RunId], like: TriedOrder | None = None) -> TriedOrder:
-        """Lay out the runs in an order. What begins like another attempt takes over its first runs."""
+        """Lay out the runs in an order. If it begins like another attempt, the first runs are taken over from
+        there."""
         self.tries += 1
         same = 0
         if like is not None:
@@ -364,7 +372,7 @@ class _Search:
 
 
 class _Draws:
-    """Numbers between 0 and 1 that look as if they were drawn, the same ones each time."""
+    """Pseudo-random numbers from 0 to 1. The same seed gives the same numbers."""
 
     def __init__(self, seed: int) -> None:
         self._at = seed
@@ -378,7 +386,7 @@ class _Draws:
 
 
 def _suggest(state: LabState, cell: str, layout: PlannedCell, fits: dict[RunId, Fit]) -> OrderSuggested:
-    """The timetable as an order. A step that does not wait starts as soon as the one before it has ended."""
+    """The timetable as an order. A step without a wait starts exactly when the step before it ends."""
     steps: list[Suggested] = []
     last = layout.now
     for name, fit in fits.items():
@@ -403,7 +411,7 @@ def _is_on_time(state: LabState, order: OrderSuggested, now: int) -> bool:
 
 
 def _list_late(state: LabState, order: OrderSuggested, now: int) -> Iterable[RunId]:
-    """The runs that should have started a step by now, and have not."""
+    """The runs that should have started a step by now, and have not; one of them may come several times."""
     latest = now - convert_lab_s(state, PUNCTUAL_S)
     for one in order.steps:
         if one.start >= latest:

@@ -1,7 +1,7 @@
-"""The timetable of a workcell where clocks run: its runs and those that wait, as chains of slots.
+"""The timetable of a workcell where clocks run: the runs inside and queued runs, as chains of slots.
 
-Not every workcell has one: its runs must have steps that follow one another, windows of their own, and no
-doors or setpoints to care for.
+A workcell has a timetable only if the steps of each run follow one another, and its windows count from steps
+of the same run. No run may use doors, setpoints or holds, or have a step for a person.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from labos.planning.taken import find_station
 from labos.planning.window_waits import WaitSpan, share_waits
 
 MOST_SLOTS = 2048
-"""So many slots all steps take together, at most."""
+"""The most slots that all steps take together, with the waits between them."""
 
 SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
-"""The lengths of a slot (lab seconds) of which the shortest that will do is taken."""
+"""The possible lengths of a slot (lab seconds). The shortest that needs at most ``MOST_SLOTS`` is used."""
 
 KNOWN = (Carrying, Needs, Consumes)
-"""Effects that the timetable knows."""
+"""The effects that the timetable can represent. With any other effect there is no timetable."""
 
 
 class StepChain(msgspec.Struct, frozen=True):
-    """A plan whose main steps follow one another: their numbers, and for each how long the run has to wait
-    before it at least, and may at most (ns of wall time; None: no limit)."""
+    """The main ``steps`` of a plan, by index, if they follow one another. ``least`` and ``most`` are the
+    shortest and the longest wait of the run before each of them (ns of wall time; None: no limit)."""
 
     steps: tuple[int, ...]
     least: tuple[int, ...]
@@ -48,17 +48,18 @@ class PlannedRun(msgspec.Struct):
 
     run: RunState
     first: int
-    """The first of its steps, in its line, that has not started."""
+    """The position in ``line`` of its first step that has not started."""
     line: StepChain
     chain: Chain
     end: int
-    """When what is under way ends (UTC ns)."""
+    """When its step in flight ends (UTC ns); now if it has none."""
     limit: int = 0
-    """So many younger runs may still be let in before it."""
+    """The number of younger runs that may still start before it."""
 
 
 class PlannedCell(msgspec.Struct):
-    """What is laid out: the runs, the older ones first, and the timetable without them."""
+    """The runs in the timetable (``members``), the oldest first, and the ``table`` without them. ``slot`` is
+    the length of a slot (ns of wall time); the first slot begins ``now`` (UTC ns)."""
 
     members: dict[RunId, PlannedRun]
     table: SlotTable
@@ -69,7 +70,8 @@ class PlannedCell(msgspec.Struct):
 def lay_out_runs(
     state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], now: int
 ) -> PlannedCell | None:
-    """The runs of a workcell and those that wait, as chains; None if some run is none."""
+    """The runs of a workcell, inside and queued, as chains. None if a run is no chain, is held or cancelled,
+    or has a step of unknown outcome."""
     lines: list[tuple[RunState, StepChain, tuple[Task, ...]]] = []
     lengths: dict[RunId, dict[int, int]] = {}
     for run in runs:
@@ -108,7 +110,8 @@ def lay_out_runs(
 
 
 def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepChain | None:
-    """The main steps of a plan, if they follow one another and its windows are its own."""
+    """The main steps of a plan as a chain. None if they do not follow one another, if a window counts from
+    another run, if the windows contradict one another, or if the timetable cannot represent the plan."""
     if plan.holds or any(not isinstance(effect, KNOWN) for step in plan.steps for effect in step.effects):
         return None  # doors, setpoints and the like are not in the timetable
     steps = [i for i, step in enumerate(plan.steps) if step.part == MAIN]
@@ -123,7 +126,7 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
                 return None
             first = place[window.anchor] + 1
             between = sum(durations[i] for i in steps[first:number])
-            # A move that is known to last longer than its window is followed at once.
+            # If the steps in a window last longer than the window, its last step follows at once.
             left = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
             limit = None if left is None else max(0, left)
             spans.append(WaitSpan(first, number, convert_lab_s(state, window.wait_s) - between, limit))
@@ -132,7 +135,8 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
 
 
 def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
-    """How long a slot is (ns of wall time)."""
+    """The length of a slot (ns of wall time): the greatest common divisor of all durations if that needs at
+    most ``MOST_SLOTS``, else one of ``SLOTS_S``, or longer if all of these are too short."""
     whole = math.gcd(*lengths)
     if whole and total <= MOST_SLOTS * whole:
         return whole
@@ -143,7 +147,7 @@ def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
 
 
 def _count_slots(time: int, slot: int) -> int:
-    """So many slots; what is a twentieth over does not count."""
+    """The number of slots for a time, rounded up. An excess of up to a twentieth of a slot does not count."""
     return max(0, -(-(time - slot // 20) // slot))
 
 
@@ -158,6 +162,7 @@ def _make_member(
     now: int,
     flying: dict[tuple[RunId, int], Action],
 ) -> PlannedRun | None:
+    """A run in the timetable. None if a started step follows a pending one, or has no known outcome."""
     statuses = run.statuses if run.has_started else []
     first, begins, held = 0, None, dict[int, int]()
     in_progress: tuple[int, ...] = ()
@@ -213,7 +218,7 @@ def _make_member(
 
 
 def _carry(held: dict[int, int], task: Task, *, is_over: bool) -> None:
-    """What a run holds after a step, or while it is under way."""
+    """Update what a run holds: after a step (``is_over``), or while the step is in progress."""
     for key in task.gets:
         held[key] = held.get(key, 0) + 1
     for key in task.frees if is_over else ():
@@ -232,13 +237,14 @@ def _since_clocks(
     least: int,
     most: int | None,
 ) -> tuple[int, int | None]:
-    """How long a run waits before a step (ns), with the clocks that run already."""
+    """The shortest and the longest wait of a run before a step (ns; None: no limit). For its ``first`` step
+    that has not started, they follow from the clocks that run at ``end``. For later steps, they are given."""
     if number != first:
         return least, most
     least, most = 0, None
     for later in range(first, len(line.steps)):
         for window in plan.steps[line.steps[later]].windows:
-            assert window.anchor is not None  # of another run's clock nothing is known: see _read_line
+            assert window.anchor is not None  # _read_line excludes clocks of other runs
             anchor = line.steps.index(window.anchor)
             ended = find_anchor(run, window)
             if ended is None and anchor == first - 1:

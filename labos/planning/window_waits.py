@@ -1,7 +1,7 @@
 """How long a run may wait before each of its steps, so that all its windows are kept.
 
-A window says how long the waits before some steps that follow one another take together, at least and at
-most. Here each step gets limits of its own: whatever the run waits within them, no window is missed.
+A window limits the sum of the waits before some consecutive steps: at least and at most. Here each single
+step gets its limits. If each wait is within the limits of its step, no window is missed.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import msgspec
 
 
 class WaitSpan(msgspec.Struct, frozen=True):
-    """The waits before the steps from ``first`` to ``last`` take so long together: ``least`` and ``most``
+    """The limits on the sum of the waits before the steps from ``first`` to ``last``: ``least`` and ``most``
     (ns; None: no limit)."""
 
     first: int
@@ -24,8 +24,9 @@ class WaitSpan(msgspec.Struct, frozen=True):
 def share_waits(
     count: int, spans: Sequence[WaitSpan]
 ) -> tuple[tuple[int, ...], tuple[int | None, ...]] | None:
-    """The least and the longest wait before each of ``count`` steps (ns; None: no limit); None if not all
-    windows can be kept. The run waits as late as it can, and what is left over as soon as it can."""
+    """The shortest and the longest wait before each of ``count`` steps (ns; None: no limit). None if not all
+    windows can be kept. Waits that are necessary come as late as possible, time to spare as early as
+    possible."""
     earliest = _find_earliest(count, spans)
     if earliest is None:
         return None
@@ -45,8 +46,8 @@ def share_waits(
 
 
 def _find_earliest(count: int, spans: Sequence[WaitSpan]) -> list[int] | None:
-    """How long a run has waited at least before it starts each step (ns), if it starts each as soon as its
-    windows allow; None if they contradict one another. Nothing changes any more after ``count`` rounds."""
+    """The sum of the waits before the start of each step (ns), if each starts as early as its windows allow.
+    None if the windows contradict one another: otherwise nothing changes any more after ``count`` rounds."""
     waited = [0] * count
     for _ in range(count + 1):
         before = list(waited)

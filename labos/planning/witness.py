@@ -1,7 +1,7 @@
-"""Looking for a witness: one order of motions that brings actors to their ends.
+"""The search for a witness: an order of motions that brings actors to their ends.
 
-A step that takes hold of something and carries labware has several motions, but it is started as one. So
-a witness keeps the motions of a step together: what comes between them could never happen.
+A step that begins to hold something and carries labware has several motions, but it is started as one. So
+a witness keeps the motions of a step together: no other motion can happen between them.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from labos.planning.orders import bring_forward, list_next_steps
 from labos.planning.paths import FORKED, Motion, MotionStep
 
 Witness = tuple[tuple[str, MotionStep], ...]
-"""(actor, step) for each motion to come, in an order in which all of them are possible; the motions of a
+"""(actor, step) for each motion that is left, in an order in which all of them are possible. The motions of a
 step follow one another."""
 
 Trail = list[tuple[Actor, Motion, int]]
-"""Motions carried out on a floor, in order, and how many changes were made to the floor before each; for
-taking them back."""
+"""The motions carried out on a floor, in order. The number is that of the floor's changes before the motion,
+so that the motion can be taken back."""
 
 
 def finish_one_by_one(floor: Floor, actors: Sequence[Actor], trail: Trail) -> list[Actor]:
-    """Let one actor after the other go to its end, as long as one can; returns who is left. Those
-    go first whose end is the waste: they come to rest in nobody's way. Leaves the motions on the
+    """Bring one actor after another to its end while one can reach it; returns the actors that are left.
+    Actors that end in the waste go first: afterwards they block no other actor. Leaves the motions on the
     floor and appends them to ``trail``."""
     waiting = sorted(actors, key=lambda actor: not _ends_in_waste(floor, actor))
     progress = True
@@ -48,7 +48,8 @@ def _ends_in_waste(floor: Floor, actor: Actor) -> bool:
 
 
 def go_on(floor: Floor, actor: Actor, trail: Trail) -> bool:
-    """Carry out an actor's next motion, or all that follows its fork; nothing if that is not possible."""
+    """Carry out an actor's next motion, or all that follows its fork. Returns whether that is possible; if
+    not, nothing changes."""
     mark, motion = len(floor.changes), FORK
     if actor.done < len(actor.motions):
         motion = actor.motions[actor.done]
@@ -63,7 +64,7 @@ def go_on(floor: Floor, actor: Actor, trail: Trail) -> bool:
 
 
 def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
-    """Carry out all that an actor has left; takes all back if something is not possible."""
+    """Carry out all that an actor has left. Returns whether that is possible; if not, takes all back."""
     start = len(trail)
     while actor.done < actor.length:
         if not go_on(floor, actor, trail):
@@ -73,7 +74,8 @@ def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
 
 
 def take_step(floor: Floor, actor: Actor, step: MotionStep, trail: Trail) -> bool:
-    """Carry out the motions of a step that an actor may do next; takes all back if one is not possible."""
+    """Carry out the motions of a step that an actor may do next. Returns whether that is possible; if not,
+    takes all motions back."""
     if not bring_forward(actor, step):
         return False
     start = len(trail)
@@ -85,9 +87,9 @@ def take_step(floor: Floor, actor: Actor, step: MotionStep, trail: Trail) -> boo
 
 
 def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness | None:
-    """The witness anew, after somebody has come to a fork or beyond, or people have put something in its way:
-    in the order that it gives, where whoever goes alone to its end from a fork still does. Changes neither
-    floor nor actors."""
+    """The witness, checked again in the same order: an actor may have passed a fork, or a person may have put
+    something in the way. An actor that goes alone to its end from a fork still does so. None if a motion is
+    not possible, or if an actor would not reach its end. Changes neither floor nor actors."""
     mark = len(floor.changes)
     trail: Trail = []
     by_name = {actor.name: copy_actor(actor) for actor in actors}
@@ -98,7 +100,7 @@ def replay(floor: Floor, actors: Sequence[Actor], witness: Witness) -> Witness |
 
 
 def _follow(floor: Floor, actor: Actor | None, step: MotionStep, trail: Trail) -> bool:
-    """Let an actor do what a witness says next; whether that is possible."""
+    """Carry out the next motion of a witness with an actor. Returns whether that is possible."""
     if actor is None:
         return False
     if step == FORKED:
@@ -116,15 +118,15 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
 
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, MotionStep]] | None:
-    """An interleaving of steps that brings every actor to its end, or None if ``limit`` of them were
-    looked at in vain. Where an actor's steps may be done in more orders than one, each of those that may be
-    next is tried, and all that could be next before any that could follow."""
+    """An interleaving of steps that brings every actor to its end, and stays on the floor. None if there is
+    none, or if none is found after ``limit`` positions. If an actor's steps may be done in several orders,
+    each step that may be next is tried. Then all next steps are tried before any step that follows them."""
     seen: set[tuple[object, ...]] = set()
     budget = [limit]
     broad = any(actor.orders is not None for actor in actors)
 
     def deeper(trail: Trail) -> bool:
-        """Whether a way was found; it is then in ``trail``."""
+        """Whether a way to the end of all was found. It is then in ``trail``."""
         opened: list[tuple[Actor, MotionStep]] = []
         for actor, step in [(each, step) for each in actors for step in list_next_steps(each)]:
             if budget[0] <= 0:
@@ -159,7 +161,7 @@ def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str,
 
 
 def _place(actor: Actor) -> object:
-    """How far an actor has come, whichever order its steps are in."""
+    """How far an actor has come, independent of the order of its steps."""
     if actor.orders is None:
         return actor.done
     return frozenset(motion.step for motion in actor.motions[: actor.done])
@@ -170,5 +172,5 @@ def list_order(trail: Trail) -> list[tuple[str, MotionStep]]:
 
 
 def copy_actor(actor: Actor) -> Actor:
-    """An actor to try things out with."""
+    """A copy of an actor on which motions can be tried."""
     return msgspec.structs.replace(actor, own=dict(actor.own))

@@ -1,4 +1,4 @@
-"""How much of a run follows on each of its steps: of its branches the longest goes first."""
+"""How much of a run follows after each of its steps. Of its branches, the longest goes first."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from labos.core.model import Plan
 from labos.core.state import LabState
 
 MOST_PLANS = 4096
-"""So many plans are remembered."""
+"""The most plans that are remembered."""
 
 
 class WorkBehind:
-    """For each step of a plan the longest way from its start to the end of the run, by nominal durations."""
+    """For each step of a plan, the longest path from its start to the end of the run, by nominal
+    durations."""
 
     def __init__(self) -> None:
         self._known: dict[str, tuple[float, ...]] = {}
 
     def measure(self, state: LabState, plan: str, step: int) -> float:
-        """The longest way from a step's start (seconds)."""
+        """The longest path from the start of a step to the end of the run (seconds)."""
         found = self._known.get(plan)
         if found is None:
             if len(self._known) >= MOST_PLANS:
@@ -27,7 +28,7 @@ class WorkBehind:
         return found[step]
 
     def sort(self, state: LabState, plan: str, steps: Sequence[int]) -> Sequence[int]:
-        """Steps of a plan, the one with the longest way first."""
+        """The steps of a plan, the one with the longest path first."""
         if len(steps) < 2:
             return steps
         return sorted(steps, key=lambda step: -self.measure(state, plan, step))
