@@ -30,7 +30,7 @@ DOWN = (reasons.NoModule, reasons.ModuleDown, reasons.OutOfService)
 """The reasons why a run waits that needs a module that is down."""
 
 
-def check_may_stay(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
+def check_should_stay(state: LabState, safety: Safety, run: RunState, step: int) -> Wait | None:
     """The wait of a run inside that should stay where it is instead of starting a step; None if it may start
     the step. A run with a running clock goes on as far as it can."""
     if run.status != RunStatus.ACTIVE or run.id in state.runs.windowed:
@@ -111,4 +111,4 @@ def _find_kept(floor: Floor, actor: Actor) -> set[str]:
     return kept
 
 
-__all__ = ["check_may_stay"]
+__all__ = ["check_should_stay"]

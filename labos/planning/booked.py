@@ -72,7 +72,7 @@ def _check_times(
     return _check_room_for(state, run, plan, list(_list_stays(state, plan, times, together)), now)
 
 
-def find_room_end(state: LabState, name: RunId, now: int) -> int | None:
+def find_next_collision(state: LabState, name: RunId, now: int) -> int | None:
     """The first time at which a waiting run, if started then, would collide with a booking with which it does
     not collide now (UTC ns). None if there is no such time within ``HORIZON_NS``."""
     run = state.runs.queued[name]
@@ -286,4 +286,4 @@ class BookingTimes:
                     pass
 
 
-__all__ = ["BookingTimes", "check_start", "find_room_end", "list_without_gap"]
+__all__ = ["BookingTimes", "check_start", "find_next_collision", "list_without_gap"]

@@ -82,7 +82,9 @@ class SlotTable:
             used = held
             for resource in leg.takes:
                 used |= taken[resource]
-            starts = _wait(ends, ~held & full, leg.least, leg.most) & _runs(~used & full, leg.length)
+            starts = _wait(ends, ~held & full, leg.least, leg.most) & _find_stretches(
+                ~used & full, leg.length
+            )
             layers.append((ends, starts))
             ends = (starts << leg.length) & full
             if not ends:
@@ -119,7 +121,7 @@ class SlotTable:
         return Fit(tuple(reversed(starts)), end, tuple(marks))
 
 
-def _runs(free: int, length: int) -> int:
+def _find_stretches(free: int, length: int) -> int:
     """The slots from which ``length`` slots in a row are free."""
     have = 1
     while have < length:
@@ -133,13 +135,13 @@ def _wait(ends: int, free: int, least: int, most: int | None) -> int:
     """The slots until which a run can wait from one of ``ends``, while the slots are ``free``: at least
     ``least`` and at most ``most`` slots (None: no limit)."""
     if least:
-        ends = (ends & _runs(free, least)) << least
+        ends = (ends & _find_stretches(free, least)) << least
     if most is None:
         # The carry of the addition runs through all free slots that follow.
         return ((free + (ends & free)) ^ free) | ends
     covered, left = 0, most - least
     while covered < left:
         more = min(covered + 1, left - covered)
-        ends |= (ends & _runs(free, more)) << more
+        ends |= (ends & _find_stretches(free, more)) << more
         covered += more
     return ends

@@ -73,6 +73,6 @@ def list_changes(state: LabState, safety: Safety) -> Iterator[BindAnew]:
                 or any(step.module in dead for step in list_left(state, option))
             ):
                 continue
-            if find_block(state, option) is None and safety.may_change(state, option):
+            if find_block(state, option) is None and safety.is_change_safe(state, option):
                 yield BindAnew(run.id, plan, f"{local(cause)} cannot be used")
                 break

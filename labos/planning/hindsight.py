@@ -102,7 +102,7 @@ class ExpectedTimes(msgspec.Struct, frozen=True):
 
 class PastForecast(msgspec.Struct):
     """A past forecast of a run, made ``age`` ns after its submission, ``at`` a time. ``start`` and ``end``
-    are the predicted times; ``told_start`` and ``told_end`` are the ranges that were shown. ``started`` and
+    are the predicted times; ``shown_start`` and ``shown_end`` are the ranges that were shown. ``started`` and
     ``ended`` are the actual times (all UTC ns; 0: not yet). ``pauses`` are the last pauses between
     submissions until then (ns). ``next_at`` is the time of the next submission (UTC ns; 0: none yet)."""
 
@@ -111,8 +111,8 @@ class PastForecast(msgspec.Struct):
     pauses: tuple[int, ...]
     start: int
     end: int
-    told_start: ExpectedTimes
-    told_end: ExpectedTimes
+    shown_start: ExpectedTimes
+    shown_end: ExpectedTimes
     started: int = 0
     ended: int = 0
     next_at: int = 0
@@ -126,7 +126,7 @@ class PastForecast(msgspec.Struct):
 
     def find_range(self, what: str, kind: str) -> TimeRange:
         """The range that was shown: `usual`, or `alone` if no further run is submitted."""
-        expected = self.told_start if what == "starts" else self.told_end
+        expected = self.shown_start if what == "starts" else self.shown_end
         return expected.usual if kind == "usual" else expected.alone
 
     def is_alone(self, what: str) -> bool:

@@ -105,7 +105,7 @@ class Trial(msgspec.Struct, frozen=True):
 
     def has_fault(self, outcome: RehearsalResult) -> bool:
         """Whether a step is late that is not ``known``, or a step could not follow in time any more."""
-        return bool(self.list_newly_late(outcome)) or outcome.tangle is not None
+        return bool(self.list_newly_late(outcome)) or outcome.will_be_late is not None
 
 
 Standing = dict[str, tuple[StepStatus, ...]]
@@ -121,10 +121,10 @@ class Windows:
         self._at: tuple[int, int] | None = None
         self._plans: dict[str, CellOutlook] = {}
         self._advice: dict[str, Advice] = {}
-        self._tried: dict[Step, tuple[Advice, list[Step]]] = {}
-        self._hopeless: set[Step] = set()
-        self._anxious: dict[Step, frozenset[ModuleName]] = {}
-        self._met: dict[Step, set[str]] = {}
+        self._accepted: dict[Step, tuple[Advice, list[Step]]] = {}
+        self._surely_late: set[Step] = set()
+        self._needed_modules: dict[Step, frozenset[ModuleName]] = {}
+        self._inside_at_first: dict[Step, set[str]] = {}
         self._at_rest: dict[Step, tuple[Standing, int]] = {}
         self._put_off: dict[Step, tuple[Standing, int]] = {}
         self._punctual = PunctualOrders(self._own)
@@ -158,14 +158,14 @@ class Windows:
         if waits is not None:
             return waits
         if not plan.obliged and not follow:
-            return self._find_tangle(trial)
+            return self._check_later_steps(trial)
         who = trial.who
-        self._anxious.pop(who, None)
+        self._needed_modules.pop(who, None)
         advice, found = self._search(trial, forced=True, limit=1)
         if any(late[0] == who[0] for late in trial.list_newly_late(found)):
             trial.known.update(self._list_late_alone(trial))
         at_first = trial.list_newly_late(found)
-        behind = at_first[:1] or ([found.tangle] if found.tangle is not None else [])
+        behind = at_first[:1] or ([found.will_be_late] if found.will_be_late is not None else [])
         if behind and plan.as_suggested and plan.scene.flying:
             # All runs follow an order, and all goes as suggested: no better advice is searched for.
             return self._wait(trial, behind[0])
@@ -173,7 +173,7 @@ class Windows:
             advice, found = self._search(trial, forced=True)
         late = trial.list_newly_late(found)
         others = [other for other in late if other[0] != who[0]]
-        named, again = found.tangle, now
+        named, again = found.will_be_late, now
         if others:
             running = {str(other.id) for other in plan.obliged}
             at_stake = any(other[0] in running for other in others)
@@ -182,16 +182,16 @@ class Windows:
         elif late:
             named = next(other for other in (*at_first, *late) if other[0] == who[0])
             again = self._find_better_time(trial)
-        elif found.tangle is not None:
+        elif found.will_be_late is not None:
             again = self._find_rest_time(trial)
         if named is not None and again > now:
             return self._wait(trial, named, again)
-        self._anxious.pop(who, None)
-        self._tried[who] = advice, [other for other in trial.known if other[0] == who[0]]
+        self._needed_modules.pop(who, None)
+        self._accepted[who] = advice, [other for other in trial.known if other[0] == who[0]]
         return None
 
     def _make_trial(self, plan: CellOutlook, run: RunState | None, step: int) -> Trial:
-        return Trial(plan, run, step, set(plan.outcome.late) | self._hopeless)
+        return Trial(plan, run, step, set(plan.outcome.late) | self._surely_late)
 
     def follows_order(self, state: LabState, cell: str, now: int, safety: Safety) -> bool:
         """Whether everything goes as in an order that keeps all windows."""
@@ -210,8 +210,8 @@ class Windows:
         trial = msgspec.structs.replace(trial, plan=plan.follow(advice))
         if trial.has_fault(self._search(trial, forced=True, limit=1)[1]):
             return False
-        self._anxious.pop(who, None)
-        self._tried[who] = advice, []
+        self._needed_modules.pop(who, None)
+        self._accepted[who] = advice, []
         return True
 
     def _find_suggested_advice(self, state: LabState, cell: str, now: int) -> Advice | None:
@@ -249,10 +249,12 @@ class Windows:
             elif now >= put_off[1]:
                 found = False
         inside = {str(other.id) for other in others} - {who[0]}
-        if not found or (inside and not inside & self._met.setdefault(who, inside)):
+        if not found or (inside and not inside & self._inside_at_first.setdefault(who, inside)):
             # No better time, or all runs that were inside at first are gone: later ones wait outside for it.
             plan = state.runs.plan_of(run)
-            self._anxious[who] = frozenset(plan.steps[i].module for i in find_chained(run, plan, [who[1]]))
+            self._needed_modules[who] = frozenset(
+                plan.steps[i].module for i in find_chained(run, plan, [who[1]])
+            )
         return at if found else self._find_rest_time(trial)
 
     def _find_rest_time(self, trial: Trial) -> int:
@@ -275,7 +277,7 @@ class Windows:
             since = plan.now
         return max(plan.now, since + convert_lab_s(plan.state, CALM_S))
 
-    def _find_tangle(self, trial: Trial) -> Wait | None:
+    def _check_later_steps(self, trial: Trial) -> Wait | None:
         """What a start waits for after which a step could not follow in time, whichever run goes first; None
         if it may start. It starts in any case once nothing else goes on."""
         run, plan = trial.run, trial.plan
@@ -293,10 +295,10 @@ class Windows:
         """The wait of a run outside that needs a module of a run which waits until nothing happens and could
         start by the rules. That run is inside, or outside and older. None if there is no such run."""
         run, state, now = trial.run, trial.plan.state, trial.plan.now
-        if run is None or run.has_started or not self._anxious:
+        if run is None or run.has_started or not self._needed_modules:
             return None
         mine = {item.module for item in state.runs.plan_of(run).steps}
-        for (name, index), modules in self._anxious.items():
+        for (name, index), modules in self._needed_modules.items():
             other = state.runs.get(name)
             if other is None or other.id == run.id or not (mine & modules):
                 continue
@@ -315,9 +317,10 @@ class Windows:
 
     def remember(self, other: Windows) -> None:
         """Take over what another one remembers besides the state."""
-        self._advice, self._hopeless = dict(other._advice), set(other._hopeless)
+        self._advice, self._surely_late = dict(other._advice), set(other._surely_late)
         self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
-        self._anxious, self._met = dict(other._anxious), dict(other._met)
+        self._needed_modules = dict(other._needed_modules)
+        self._inside_at_first = dict(other._inside_at_first)
         self._punctual = other._punctual
 
     # -- the plan ------------------------------------------------------------------------------
@@ -326,16 +329,16 @@ class Windows:
         if self._at != (state.position, now):
             self._at = (state.position, now)
             self._plans.clear()
-            for (name, step), (advice, hopeless) in self._tried.items():
+            for (name, step), (advice, late) in self._accepted.items():
                 run = state.runs.active.get(RunId(name))
                 if run is not None and run.steps[step].status != PENDING:
                     self._advice[state.runs.plan_of(run).workcell] = advice
-                    self._hopeless.update(hopeless)
-            self._tried.clear()
-            for store in (self._at_rest, self._put_off, self._anxious, self._met):
+                    self._surely_late.update(late)
+            self._accepted.clear()
+            for store in (self._at_rest, self._put_off, self._needed_modules, self._inside_at_first):
                 for who in [who for who in store if not _is_waiting(state, who)]:
                     del store[who]
-            self._hopeless = {who for who in self._hopeless if who[0] in state.runs.windowed}
+            self._surely_late = {who for who in self._surely_late if who[0] in state.runs.windowed}
         found = self._plans.get(cell)
         if found is None:
             found = self._plans[cell] = self._make_plan(state, cell, now, safety)
@@ -379,9 +382,9 @@ class Windows:
             self.plays += 1
             outcome = play(plan.scene.copy(), _make_players(trial, advice), advice, start)
             if not trial.list_newly_late(outcome):
-                _find_trap(plan, outcome)
+                _note_trap(plan, outcome)
             late = trial.list_newly_late(outcome)
-            rank = len(late) + (outcome.tangle is not None), sum(outcome.late[who] for who in late)
+            rank = len(late) + (outcome.will_be_late is not None), sum(outcome.late[who] for who in late)
             tried.append((rank, len(tried), advice, outcome))
             heapq.heappush(open_, tried[-1])
 
@@ -485,9 +488,9 @@ def _make_players(trial: Trial, advice: Advice) -> Iterable[Player]:
         yield Player(state, run, ends.get(name, {}), free=name in advice.leaving, first=first)
 
 
-def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
-    """Check whether planning would allow these starts, and note a trap or a tangle. After a trap, one
-    windowed step counts as never started: of the run of that start, if it has one."""
+def _note_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
+    """Check whether planning would allow these starts, and note a trap or a step that will be late. After a
+    trap, one windowed step counts as never started: of the run of that start, if it has one."""
     if plan.safety is None:
         return
     starts = list(outcome.starts)
@@ -497,9 +500,12 @@ def _find_trap(plan: CellOutlook, outcome: RehearsalResult) -> None:
         behind = [who for who in outcome.due if who[0] == name] or list(outcome.due)
         outcome.late.update(dict.fromkeys(behind[:1], FAR))
         return
-    outcome.tangle = find_late_step(plan.state, plan.cell, starts, plan.safety)
-    if outcome.tangle is not None and find_late_step(plan.state, plan.cell, [], plan.safety) is not None:
-        outcome.tangle = None
+    outcome.will_be_late = find_late_step(plan.state, plan.cell, starts, plan.safety)
+    if (
+        outcome.will_be_late is not None
+        and find_late_step(plan.state, plan.cell, [], plan.safety) is not None
+    ):
+        outcome.will_be_late = None
 
 
 def _is_on_time(state: LabState, suggested: Advice, now: int) -> bool:

@@ -72,9 +72,9 @@ def _explain_obstacle(
     for key, value in motion.wants:
         if not is_same(floor.values.get(key), value):
             return f"needs {local(key)} = {value}, which no step will have set"
-    met = Met(floor, walker, state, others)
+    mover = ExplainedMover(floor, walker, state, others)
     if not motion.target:
-        full = check_rooms(met, motion)
+        full = check_rooms(mover, motion)
         if full is not None:
             return full
         for places in motion.needs:
@@ -84,10 +84,10 @@ def _explain_obstacle(
         grabbed = [key for key, _ in motion.grabs]
         used += [find_kept_module(key) for key in grabbed if find_kept_module(key)]
         return f"has to wait: {_describe_holders(state, floor, walker, used, grabbed, others)}"
-    return check_carrying(met, motion) or met.describe_keeper(motion, [motion.uses])
+    return check_carrying(mover, motion) or mover.describe_keeper(motion, [motion.uses])
 
 
-class Met:
+class ExplainedMover:
     """An actor on a floor: a store (see ``core.algebra``) that says in words what prevents a motion."""
 
     def __init__(self, floor: Floor, actor: Actor, state: LabState, others: Sequence[Actor]) -> None:

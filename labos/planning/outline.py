@@ -128,7 +128,7 @@ class Outline:
         flying = {(action.run, action.step): action for action in state.actions.list_in_cell(cell)}
         for run, way in known:
             self._add(state, run, way, flying)
-        self._see_strangers(state, {run_owner(run.id) for run in here}, ways)
+        self._count_other_labware(state, {run_owner(run.id) for run in here}, ways)
         found = self._search()
         self.is_safe = found is not None
         self.witness = found or []
@@ -175,7 +175,7 @@ class Outline:
         self.inside.append(run.has_started)
         self.ends.append(0)
 
-    def _see_strangers(self, state: LabState, owners: set[Owner], ways: Ways) -> None:
+    def _count_other_labware(self, state: LabState, owners: set[Owner], ways: Ways) -> None:
         """Count the room of labware that belongs to no run inside."""
         for number, key in enumerate(ways.names):
             station = find_station(state, key)

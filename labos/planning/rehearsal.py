@@ -50,15 +50,15 @@ class RehearsalResult(msgspec.Struct):
     that started after their deadline, and by how much (ns), the earliest deadline first. Steps that had to
     start but never did are in it too, with FAR. ``blame`` lists what a step waited for that could not start
     at once. ``due`` are the deadlines of windowed steps (UTC ns). ``trap`` is the first start after which
-    some runs could never end, with these runs. ``tangle`` is a step whose clock has not begun, but which
-    would be late after all these starts."""
+    some runs could never end, with these runs. ``will_be_late`` is a step whose clock has not begun, but
+    which would be late after all these starts."""
 
     starts: dict[Step, int] = {}
     late: dict[Step, int] = {}
     blame: dict[Step, dict[Who, bool]] = {}
     due: dict[Step, int] = {}
     trap: tuple[Step, tuple[str, ...]] | None = None
-    tangle: Step | None = None
+    will_be_late: Step | None = None
 
 
 def play(

@@ -101,7 +101,7 @@ class Safety:
     def __init__(self, limit: int = SEARCH_LIMIT) -> None:
         self._paths: dict[str, Path] = {}
         self._known: dict[View, LastResult] = {}
-        self._given_up: dict[View, tuple[set[str], frozenset[str]]] = {}
+        self._failed_searches: dict[View, tuple[set[str], frozenset[str]]] = {}
         self._limit = limit
         self.searches = 0
         self.interleavings = 0
@@ -111,7 +111,9 @@ class Safety:
         plans = state.runs.plans
         self._paths = {n: p for n, p in self._paths.items() if n in plans and plans[n].plan.workcell != cell}
         self._known = {view: known for view, known in self._known.items() if view.cell != cell}
-        self._given_up = {view: known for view, known in self._given_up.items() if view.cell != cell}
+        self._failed_searches = {
+            view: known for view, known in self._failed_searches.items() if view.cell != cell
+        }
 
     def find_path(self, state: LabState, plan: str) -> Path:
         """The path, with the motions, of a plan that the state has."""
@@ -138,7 +140,7 @@ class Safety:
             return step in path.changing
         return any(motion.changes_anything for motion in self._list_motions(state, run, step))
 
-    def comes_out(self, state: LabState, run: RunState) -> bool:
+    def can_reach_end(self, state: LabState, run: RunState) -> bool:
         """Whether a run inside can reach its end if no actor is stuck and open experiments close."""
         view = View(state.runs.plan_of(run).workcell, hopeful=True, closing=True)
         actors = [view_actor(actor, view) for actor in self.list_actors(state, view.cell)]
@@ -173,7 +175,7 @@ class Safety:
             self._known.update(found)
         return []
 
-    def may_change(self, state: LabState, run: RunState) -> bool:
+    def is_change_safe(self, state: LabState, run: RunState) -> bool:
         """Whether a run inside may go on with the plan that ``run`` has: it can reach its end, and so can all
         actors that could before."""
         name, cell = str(run.id), state.runs.plan_of(run).workcell
@@ -297,8 +299,8 @@ class Safety:
                     return found
         free = names - stuck
         witness, ends = self.find(ground, actors, free)
-        if not ends >= free and self._given_up.get(view) != (names, stuck):
-            self._given_up[view] = (names, stuck)  # not again while the same actors are inside
+        if not ends >= free and self._failed_searches.get(view) != (names, stuck):
+            self._failed_searches[view] = (names, stuck)  # not again while the same actors are inside
             witness, ends = self.find(ground, actors, free, self._limit * THOROUGH)
         known = self._known[view] = LastResult(stuck, witness, frozenset(ends))
         return known

@@ -38,7 +38,7 @@ from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.admission import Admission
 from labos.planning.arrival import check_arrival
-from labos.planning.aside import check_may_stay
+from labos.planning.aside import check_should_stay
 from labos.planning.choosing import list_changes
 from labos.planning.companions import check_for_others, find_companions, make_command, put_last
 from labos.planning.deadlines import Deadlines
@@ -178,7 +178,7 @@ class Scheduler:
         if wait is None and is_outside:
             wait = find_block(state, run)  # after its start it would be blocked on the bench
         if wait is None and (is_outside or self.safety.changes_anything(state, run, step)):
-            wait = check_may_stay(state, self.safety, run, step)
+            wait = check_should_stay(state, self.safety, run, step)
             if wait is None and is_outside and run.id not in state.runs.windowed:
                 wait = self._check_others(state, run, step, now, at_once=at_once)
             if wait is None:
@@ -204,7 +204,7 @@ class Scheduler:
         elder = self.elders.find_protected(state, run, now)
         if elder:
             # From the time at which the elder run has to wait for a booking, it is not protected any more.
-            until = booked.find_room_end(state, RunId(elder), now) if state.bookings.open else None
+            until = booked.find_next_collision(state, RunId(elder), now) if state.bookings.open else None
             return Wait(reasons.AfterElder(elder), (cell_key(cell),), until)
         if not at_once and not self.adviser.is_time(state, run, step, now):
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
@@ -244,7 +244,7 @@ class Scheduler:
                 continue
             if will_leave(state.runs.plan_of(run), run):
                 found.append(TakeWayOut(run.id))
-            elif run.status == RunStatus.LEAVING and not self.safety.comes_out(state, run):
+            elif run.status == RunStatus.LEAVING and not self.safety.can_reach_end(state, run):
                 found.append(GiveUpWayOut(run.id))
         return found
 

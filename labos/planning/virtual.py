@@ -147,13 +147,13 @@ class VirtualLab:
         for name, times in overtaken.items():
             if times and name in state.runs.queued:
                 self._scheduler.room.overtake(state, state.runs.queued[name], times)
-        self._scheduler.sleepers = _ObservedSleepers(self._note_wait)
+        self._scheduler.sleepers = _ReportingSleepers(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._ends: dict[ActionId, int] = {}
         self._asked: dict[tuple[str, str], bool] = {}
         self._count = self._alarms = 0
         self._moved_at = now
-        self._pass_over_doubts()
+        self._remove_unknowns()
         for run in [*state.runs.active.values(), *state.runs.queued.values()]:
             self._note(run)
         for question in state.interventions.open.values():
@@ -352,7 +352,7 @@ class VirtualLab:
 
     # -- records -----------------------------------------------------------------------------
 
-    def _pass_over_doubts(self) -> None:
+    def _remove_unknowns(self) -> None:
         """Remove from the state what a simulation cannot know. No results are read, and no observer checks
         motions. A device is idle when its action has ended. Also computes the ends of the actions in
         flight."""
@@ -400,7 +400,7 @@ class VirtualLab:
         return explain_wait(self._scheduler.safety, self.state, run, found)
 
 
-class _ObservedSleepers(Sleepers):
+class _ReportingSleepers(Sleepers):
     """Sleepers that report each new wait to ``hear``."""
 
     def __init__(self, hear: Callable[[Name, Wait], None]) -> None:

@@ -289,7 +289,7 @@ class _Search:
         self.layout = layout
         self.tries = 0
         self._draws = _Draws(seed)
-        self._older = [n for n, member in layout.members.items() if not member.run.has_started]
+        self._waiting = [n for n, member in layout.members.items() if not member.run.has_started]
 
     def work(self, name: RunId) -> int:
         """The sum of the durations of the steps that a run has left (slots)."""
@@ -305,7 +305,7 @@ class _Search:
         if last is not None and tried % CYCLE + tries < CYCLE:
             here = self._try(last)
             best = min(best, here, key=lambda attempt: attempt.value)
-        for number in range(tries if len(best.line) > 1 and self._older else 0):
+        for number in range(tries if len(best.line) > 1 and self._waiting else 0):
             heat = WARMTH * best.value[1] * (1 - (tried + number) % CYCLE / CYCLE)
             other = self._try(self._vary(here.line), here)
             worse = other.value[1] - here.value[1]
@@ -363,7 +363,7 @@ class _Search:
             if fit is not None and not members[name].run.has_started
         }
         younger: list[int] = []
-        for name in reversed(self._older):
+        for name in reversed(self._waiting):
             begin = begins.get(name)
             if begin is not None:
                 out += sum(other < begin for other in younger) > members[name].limit

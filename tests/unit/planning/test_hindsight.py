@@ -70,7 +70,7 @@ def width(times: TimeRange) -> float:
 
 
 def is_held(past: PastForecast) -> bool:
-    return past.told_end.usual.earliest_at <= past.ended <= past.told_end.usual.latest_at
+    return past.shown_end.usual.earliest_at <= past.ended <= past.shown_end.usual.latest_at
 
 
 def test_of_a_lab_of_which_nothing_is_known_something_is_assumed() -> None:
@@ -112,11 +112,11 @@ def come_in_fours(log: Log, days: int) -> Iterator[list[PastForecast]]:
 def test_who_comes_in_fours_is_expected_in_fours() -> None:
     log = Log()
     *_, last_day = come_in_fours(log, 50)
-    first, *_, last = (past.told_end.usual for past in last_day)
+    first, *_, last = (past.shown_end.usual for past in last_day)
     assert first.expected_at - last_day[0].at == pytest.approx(4 * HOUR, rel=0.05)
     assert last.expected_at - last_day[3].at == pytest.approx(HOUR, rel=0.1)
     assert width(last) < 600
-    alone = last_day[0].told_end.alone
+    alone = last_day[0].shown_end.alone
     assert alone.expected_at - last_day[0].at == pytest.approx(HOUR, rel=0.1), "if nobody else submits"
 
 

@@ -107,7 +107,7 @@ def test_who_does_not_know_how_a_motion_ended_is_hoped_to_go_on() -> None:
     first = lab.submit(route("stack", "a", "b", "c"))
     lab.step(first)
     lab.doubt(lab.start(first, 1))
-    assert Safety().comes_out(lab.state, lab.run(first))
+    assert Safety().can_reach_end(lab.state, lab.run(first))
     settles = lab.submit(route("stack", "c", arm="arm2"))
     assert Safety().list_trapped(lab.state, lab.run(settles), 0) == [first]
 
