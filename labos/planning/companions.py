@@ -87,7 +87,7 @@ def check_for_others(
     stations = [station for station in stations if not station.spec.hotel]
     taken = sum(len(station.labware) for station in stations)
     room = sum(station.spec.capacity for station in stations)
-    if now >= until or taken >= room or _has_clock(state, plan.workcell, step.module):
+    if now >= until or taken >= room or _is_needed_by_run_with_windows(state, plan.workcell, step.module):
         return None
     if not state.actions.is_any_moving(plan.workcell) or not _can_anybody_come(
         state, members, plan, step, outside, now, until
@@ -115,7 +115,7 @@ def find_ready_time(state: LabState, run: RunState, index: int) -> int:
     return max([run.submitted_at, *ends])
 
 
-def _has_clock(state: LabState, cell: str, module: ModuleName) -> bool:
+def _is_needed_by_run_with_windows(state: LabState, cell: str, module: ModuleName) -> bool:
     """Whether an active run with windows needs a module or a place there, even if no clock is running."""
     for name in state.runs.windowed_in.get(cell, ()):
         run = state.runs.active.get(name)
