@@ -272,9 +272,10 @@ class WaitingRoom:
         elif run.experiment and experiment not in stake:
             stake.append(experiment)
         clocks = list_clocks(run)
+        is_booked = bool(state.bookings.list_in_cell(cell))
         bundle = "\x1f".join((shape, str(run.priority), str(find_holds(run)), str(clocks), *stake))
         kind = Kind(
-            (*map(_encode_starts, plans), find_holds(run), *clocks, *stake),
+            (*(_encode_starts(what, is_booked) for what in plans), find_holds(run), *clocks, *stake),
             tuple(tuple(sum_by_supply(what.uses_up).items()) for what in plans),
         )
         known = self._bundles.setdefault(bundle, Bundle(cell, kind))
@@ -328,12 +329,13 @@ def _list_booked(state: LabState, run: RunState, cell: str) -> str:
     return ",".join(b.id for b in state.bookings.list_in_cell(cell) if b.is_for(run.user, group))
 
 
-def _encode_starts(plan: PlanState) -> bytes:
+def _encode_starts(plan: PlanState, is_booked: bool) -> bytes:
     """The first steps of a plan as text. Apart from the supplies for all steps, they decide whether a run
-    with this plan may start."""
+    with this plan may start: before a booking, a short step may, and a long one may not."""
     steps = [plan.plan.steps[index] for index in plan.starts]
     first = [(s.module, s.effects, s.exclusive, s.windows, s.recovers) for s in steps]
-    return msgspec.json.encode(first)
+    lengths = [s.duration_s for s in steps] if is_booked else []
+    return msgspec.json.encode([first, lengths])
 
 
 def _list_stations(state: LabState, plan: Plan) -> frozenset[StationName]:

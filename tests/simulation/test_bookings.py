@@ -234,7 +234,7 @@ def live_through(seed: int, runs: int) -> Day:
 @pytest.mark.parametrize(
     "seeds",
     [
-        pytest.param((*range(6), 69, 192), id="few"),
+        pytest.param((*range(6), 69, 192, 488), id="few"),
         pytest.param(range(6, 60), marks=pytest.mark.slow, id="many"),
         pytest.param(range(60, 1000), marks=pytest.mark.full, id="all"),
     ],

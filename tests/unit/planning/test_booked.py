@@ -250,3 +250,16 @@ def test_labs_without_bookings_ask_nothing() -> None:
     run = lab.submit(visit())  # type: ignore[arg-type]
     assert Scheduler().find_next_deadline(lab.state) is None
     assert lab.pump() == [f"{run}#0"]
+
+
+def test_a_short_step_starts_before_a_booking_though_a_longer_one_has_to_wait() -> None:
+    """Runs that begin alike are looked at together: not where their first steps last differently."""
+    lab = small()
+    name = book(lab, "dev", 10, 90)
+    longer, shorter = lab.submit(plan(step("dev", duration_s=1800.0))), lab.submit(plan(step("dev")))
+    assert lab.pump() == [f"{shorter}#0"]
+    lab.finish(lab.list_flying()[0])
+    assert lab.pump() == []
+    assert wait_of(lab, longer).code == "booked_soon"
+    lab.do(CancelBooking(name, "op"))
+    assert lab.pump() == [f"{longer}#0"]
