@@ -1,4 +1,4 @@
-"""A simulated hand that carries plates, and the words its effects are written in."""
+"""A simulated arm that carries plates, and the names of stations in the effects of its actions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GRIPPER = StationName("gripper")
 
 
 class Arm(Simulated):
-    """A hand that carries plates between taught places."""
+    """A simulated arm with a hand that carries plates between taught places."""
 
     transfer_s = 30.0
 
@@ -27,8 +27,9 @@ class Arm(Simulated):
         grips: tuple[str, str] = ("", ""),
         factor: float = 1.0,
     ) -> None:
-        """Carry a plate, through the place ``regrip`` if it has to be held another way; ``factor``
-        times as long as usual."""
+        """Carry a plate. If a place ``regrip`` is named, the hand sets the plate down there and takes it
+        again. The transfer takes ``factor`` times the usual duration. ``grips`` are those at the source
+        and at the target."""
         usual_s = factor * self.transfer_s
         with self.motion():
             slip = self.draw_mishap()
@@ -46,7 +47,7 @@ class Arm(Simulated):
             await self.take_time(0.3 * usual_s)
 
     async def pick(self, source: str) -> None:
-        """Take a plate into the hand, and keep it there."""
+        """Take a plate and keep it in the hand."""
         with self.motion():
             slip = self.draw_mishap()
             self.world.enter(self.name, self.place(source))
@@ -55,7 +56,7 @@ class Arm(Simulated):
             await self.take_time(0.2 * self.transfer_s)
 
     async def put_down(self, target: str) -> None:
-        """Put down what the hand holds."""
+        """Put down the plate in the hand. Raises DeviceError if there is none."""
         with self.motion():
             if not self.find_held_plate():
                 raise DeviceError(f"The hand of {self.name} is empty.", effects="none")
@@ -66,7 +67,7 @@ class Arm(Simulated):
             await self.take_time(0.3 * self.transfer_s)
 
     async def remove_lid(self, plate_at: str, nest: str, regrip: str = "") -> None:
-        """Take the lid off the plate at a place and put it into a nest."""
+        """Take the lid off the plate at a place, and put it into a nest."""
         await self.transfer(self._find_lid(plate_at, "unlid"), nest, regrip)
 
     async def replace_lid(self, nest: str, plate_at: str, regrip: str = "") -> None:
@@ -77,9 +78,9 @@ class Arm(Simulated):
         return {"labware": {"gripper": bool(self.find_held_plate())}}
 
     def draw_mishap(self) -> str:
-        """Draw what goes wrong unnoticed in the next motion: what the bench has prepared, or one of the
-        mishaps of a hand that is ``clumsy`` (the part of its motions that go wrong). Empty if nothing
-        does."""
+        """The unnoticed fault of the next motion; empty if there is none. The bench has set it, or it is
+        drawn from ``MISHAPS`` because the hand is ``clumsy``. This setting is the share of motions that go
+        wrong."""
         often = float(self.config.get("clumsy", 0.0))
         if often and self._random.random() < often:
             return self._random.choice(MISHAPS)
@@ -96,7 +97,7 @@ class Arm(Simulated):
         if slip == "drops":
             self.world.drop(self.name)
         if slip:
-            return  # it opens its fingers, or believes so
+            return  # the hand is empty, or keeps the plate and does not notice it
         self.open_hand(self.place(target), how)
 
     def _find_lid(self, place: str, verb: str) -> str:

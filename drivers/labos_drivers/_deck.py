@@ -1,4 +1,4 @@
-"""A simulated gantry over a deck."""
+"""A simulated device whose gantry moves pipettes over a deck."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from labos_drivers._simulation import Simulated
 
 
 def make_facts(dispensed: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
-    """The volumes that go into wells (µL by liquid and well) in the form of the bench's motion log; empty if
-    there are none."""
+    """The volumes that are dispensed into wells (µL by liquid and well), in the form of the facts of a motion
+    of the bench; empty if there are none."""
     wells = sorted({well for doses in dispensed.values() for well in doses})
     volumes = {liquid: [doses.get(well, 0.0) for well in wells] for liquid, doses in dispensed.items()}
     return {"volumes": volumes, "wells": wells} if wells else {}
 
 
 class Deck(Simulated):
-    """Pipettes on a deck: while the gantry moves, no other hand may be there."""
+    """Pipettes over a deck. While the gantry moves, no other hand may be there."""
 
     async def pipette(self, nominal_s: float, *, tips: float = 8, **facts: Any) -> None:
-        """Work on every plate on the deck, with so many tips (a column, if nobody says)."""
+        """Work on every plate on the deck, and use up this number of tips (by default, a column of 8)."""
         with self.motion(drawn_in=True):
             slots = self._find_plates()
             if tips:

@@ -1,7 +1,7 @@
-"""The truth about bacteria in wells, which only the simulated bench knows.
+"""The growth of bacteria in wells; only the simulated bench knows this model.
 
-Cells grow by a logistic law while their plate stands in an incubator; a drug lowers what they grow to by
-Hill's law. Whoever analyses what a reader shows is measured by ``IC50_MG_PER_L``.
+Cells grow by a logistic law while their plate is in an incubator. A drug reduces their final amount by Hill's
+law. ``IC50_MG_PER_L`` is the true value, with which the result of an analysis of readings is compared.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Stay = tuple[float, float]
 
 
 def compute_growth(contents: Mapping[str, float], stays: Iterable[Stay]) -> float:
-    """The optical density at 590 nm that cells add to a well of these contents (µL by liquid)."""
+    """The optical density at 590 nm that cells add to a well with these contents (µL by liquid)."""
     total = sum(contents.values())
     cells = contents.get("cells", 0.0)
     if not cells or not total:
@@ -48,7 +48,7 @@ def _logistic(hours: float) -> float:
 
 
 def _find_remaining_part(contents: Mapping[str, float], total: float) -> float:
-    """The part of the growth that remains in spite of the drugs in a well (0 to 1)."""
+    """The part of the growth that remains despite the drugs in a well (0 to 1)."""
     left = 1.0
     for liquid, ul in contents.items():
         if (drug := NAMED_DRUG.fullmatch(liquid)) and drug["drug"] in IC50_MG_PER_L:

@@ -1,9 +1,9 @@
-"""What the arms of Hudson Robotics have in common: their language, and how a plate is carried in it.
+"""What the drivers of arms of Hudson Robotics share: the protocol, and the motions that carry a plate.
 
-ASCII lines that end with carriage return and line feed. The device first repeats the command, which
-is no answer; then, for a motion when it is over, comes a line with a code (zero: done) or with data.
-Absolute moves are points that are stored, moved to and deleted. Axes are R (turn), Z (height, lower is
-more negative), P (turn of the hand) and Y (reach).
+Messages are ASCII lines that end with carriage return and line feed. The device first repeats the command:
+this echo is not the reply. Then comes a line with a code (zero: done) or with data; for a motion, it comes
+at the end. For an absolute move, the driver stores a point, moves to it and deletes it. The axes are R
+(rotation of the arm), Z (height, lower is more negative), P (rotation of the hand) and Y (reach).
 
 Sources: AD-SDL/hudson_platecrane_module, src/platecrane_driver (platecrane_driver.py, sciclops_driver.py
 and its later rewrite); AD-SDL/sciclops_module. No manual is public.
@@ -38,7 +38,7 @@ RESULT = re.compile(r"(\d{4})(?:\s+(.*))?")
 
 
 class Joints(msgspec.Struct, frozen=True):
-    """The positions of the axes, in the device's own units."""
+    """The positions of the four axes, in the device's own units."""
 
     r: float
     z: float
@@ -47,7 +47,7 @@ class Joints(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, axes: Mapping[str, Any]) -> Joints:
-        """By the letters of the axes. Raises ValueError if one is missing."""
+        """The joints with values by the letters of the axes. Raises ValueError if an axis is missing."""
         if len(axes) != len(cls.__struct_fields__):
             raise ValueError(f"{', '.join(axes)} are not all axes")
         return cls(**{axis.lower(): float(value) for axis, value in axes.items()})
@@ -63,7 +63,7 @@ class Joints(msgspec.Struct, frozen=True):
 
 
 class Dialect(Protocol):
-    """The commands and answers of one of the devices."""
+    """The format of the commands and replies of one device model."""
 
     who: str
     order: str
@@ -75,15 +75,15 @@ class Dialect(Protocol):
         """The command that stores a point."""
 
     def read(self, text: str) -> Joints:
-        """Parse an answer to ``GETPOS``. Raises ValueError."""
+        """The joints in a reply to ``GETPOS``. Raises ValueError."""
 
     def speed(self, percent: float) -> str:
         """The command that sets the speed."""
 
 
 class Sizes(msgspec.Struct, frozen=True):
-    """Sizes of the plates in mm, and of the arm in its own units. They can be configured; the defaults are
-    working values."""
+    """Sizes of the plates in mm, and of the arm in its own units. The module's config can change them; the
+    defaults are provisional."""
 
     plate_mm: float
     grip_mm: float
@@ -95,8 +95,8 @@ class Sizes(msgspec.Struct, frozen=True):
 
 
 class HudsonDriver(Wired):
-    """Moves one axis after the other: up, in, round, out, down. After each motion it looks where the
-    arm is. There is no stop command."""
+    """Moves one axis after the other: up (Z), in (Y), rotate (R and P), out (Y), down (Z). After each motion
+    it reads the position of the arm. The device has no stop command."""
 
     deadlines = ("echo", "answer", "motion", "home", "later")
     dialect: ClassVar[Dialect]
@@ -120,7 +120,7 @@ class HudsonDriver(Wired):
             self.wire(address),
             Terminated(END),
             name=setup.name,
-            # The device repeats what it was told: that tells an answer from an earlier one's.
+            # By this echo, the link distinguishes the reply from one to an earlier command.
             answers=lambda question, line: line.strip() == question,
             identify=lambda _: self._recognise(),
             expected=self.dialect.who,
@@ -133,7 +133,7 @@ class HudsonDriver(Wired):
 
     @off_loop
     def transfer(self, source: str, target: str, raised: float = 0.0) -> None:
-        """Carry a plate; ``raised``: so many device units higher than taught."""
+        """Carry a plate. Both poses are higher than taught by ``raised`` (in device units)."""
         self._carry((source, raised), (target, raised))
 
     @off_loop
@@ -157,7 +157,7 @@ class HudsonDriver(Wired):
 
     @off_loop
     def home(self) -> None:
-        """Home all axes; the arm sweeps a large volume."""
+        """Home all axes. The arm moves through a large volume."""
         with self.motion(), self.under_way():
             self._home()
 
@@ -165,20 +165,20 @@ class HudsonDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Move up and in if the arm still can, then home; the hand keeps what it holds."""
+        """Move up and in if the arm is homed and accepts it; then home. The hand keeps what it holds."""
         self.resume()
         with self.under_way():
             self._home()
 
     @off_loop
     def is_idle(self) -> bool:
-        """An arm that moves answers only when its motion is over."""
+        """Whether the arm is ready. During a motion, the reply comes only at its end."""
         return self._read_status() in self._ready_status
 
     @off_loop
     def observe(self) -> dict[str, Any]:
-        """Whether the fingers hold something: they do between open and quite shut. Nothing is reported if the
-        sensors say both open and shut."""
+        """Whether the fingers hold something: then they are neither open nor fully closed. Empty if the
+        sensors report both open and closed."""
         held = self._read_fingers()
         return {} if held is None else {"labware": {"gripper": held}}
 
@@ -201,8 +201,8 @@ class HudsonDriver(Wired):
                 )
 
     def _pick(self, place: str, pose: Joints) -> str:
-        """Take a plate. Returns empty if something is between the fingers, which have come up with it; else
-        why not."""
+        """Take a plate and move up. Returns an empty text if something is between the fingers, else the
+        reason why nothing is."""
         if place_of(self._setup, place) in self._stacks:
             return self._pick_from_stack(place, pose)
         self._move_over(pose)
@@ -211,8 +211,8 @@ class HudsonDriver(Wired):
         return self._close_and_lift(f"nothing came between the fingers at {place}.")
 
     def _pick_from_stack(self, place: str, floor: Joints) -> str:
-        """Take the topmost plate of a stack: the shut fingers go down until they touch it. There is no other
-        way to find out how high a stack is."""
+        """Take the topmost plate of a stack; returns as ``_pick``. The closed fingers first move down until
+        they touch it: there is no other way to measure the height of a stack."""
         unit = self.dialect.unit
         self._move_over(floor)
         self._do("CLOSE")
@@ -243,7 +243,7 @@ class HudsonDriver(Wired):
                 remedy="Look where the plate is, then reset the module.",
             )
         if place_of(self._setup, place) in self._stacks:
-            # What is in the hand touches first.
+            # The plate in the hand touches the stack before the fingers do.
             self._touch(pose.z)
         else:
             self._move_to(self._read_position().replace(z=pose.z))
@@ -263,7 +263,8 @@ class HudsonDriver(Wired):
         self._move_to(self._read_position().replace(z=self._sizes.travel_z))
 
     def _move_to(self, target: Joints) -> None:
-        """Move the arm; the answer comes when it has arrived."""
+        """Move the arm, unless it is there already. The reply comes at the end of the motion. Raises
+        DeviceError if the arm is not at the target then."""
         if target.distance_to(self._read_position()) <= self._sizes.near / 10:
             return
         self.check_not_stopped()
@@ -278,7 +279,7 @@ class HudsonDriver(Wired):
         self._do(f"DELETEPOINT {POINT}")
 
     def _touch(self, floor: float) -> float:
-        """Move down until something is touched, at most to the floor; returns the height."""
+        """Move down until the hand touches something, at most to ``floor``. Returns the height (Z)."""
         self.check_not_stopped()
         self._do(f"JOG Z,{_format_number(floor - self._read_position().z)}", self.limit_s("motion", MOTION_S))
         return self._read_position().z
@@ -286,13 +287,13 @@ class HudsonDriver(Wired):
     def _home(self) -> None:
         self._do(self.dialect.speed(self._speed))
         if self._read_status() != NOT_HOMED:
-            with suppress(_Refused):  # in an error it takes nothing but this
+            with suppress(_Refused):  # in an error state, the arm accepts only `HOME`
                 self._lift()
                 self._move_to(self._read_position().replace(y=self._sizes.retracted_y))
         self._do("HOME", self.limit_s("home", HOME_S))
 
     def _check_ready(self) -> None:
-        """Raises DeviceError if the arm is not homed or not ready."""
+        """Check that the arm is homed and ready, and set its speed. Raises DeviceError if it is not."""
         status = self._read_status()
         if status == NOT_HOMED:
             raise DeviceError(f"{self.name}: it is not homed.", remedy="Reset the module.")
@@ -305,7 +306,7 @@ class HudsonDriver(Wired):
         self._do(self.dialect.speed(self._speed))
 
     def _read_status(self) -> str:
-        """The first word of the answer; empty if there is none."""
+        """The first word of the reply to ``STATUS``; empty if there is none."""
         return next(iter(self._ask("STATUS", lambda text: text[:1].isdigit()).split()), "")
 
     def _is_holding(self) -> bool:
@@ -322,7 +323,7 @@ class HudsonDriver(Wired):
         return held
 
     def _read_fingers(self) -> bool | None:
-        """Whether the fingers are neither open nor quite shut; None if the sensors say both."""
+        """Whether the fingers are neither open nor fully closed; None if the sensors report both."""
         is_open, is_shut = (self._ask_yes_or_no(q) for q in ("GETGRIPPERISOPEN", "GETGRIPPERISCLOSED"))
         return None if is_open and is_shut else not (is_open or is_shut)
 
@@ -343,8 +344,8 @@ class HudsonDriver(Wired):
     # -- places ------------------------------------------------------------------------------
 
     def _find_pose(self, place: str, raised: float = 0.0) -> Joints:
-        """The pose of a place as the workcell file has it, else as the device was taught it. Raises
-        DeviceError."""
+        """The pose of a place from the workcell file, else from the point that is stored in the device.
+        Raises DeviceError if there is none, or if it is out of reach."""
         poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses.items()}
         full = place_of(self._setup, place)
         taught = poses.get(full)
@@ -389,8 +390,8 @@ class HudsonDriver(Wired):
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: str, is_data: Callable[[str], bool]) -> str:
-        """Ask, and return the data of the answer. It may come behind the code or on a later line: the first
-        text that ``is_data``, else the last one. Raises DeviceError for a code that is not zero."""
+        """Send a question; returns the data of its reply, which comes behind the code or on a later line. It
+        is the first text that ``is_data``, else the last one. Raises DeviceError for a nonzero code."""
         line = self._read_result(question, self.limit_s("answer", ANSWER_S))
         while True:
             found = RESULT.fullmatch(line)
@@ -405,7 +406,7 @@ class HudsonDriver(Wired):
                 return text
 
     def _do(self, command: str, limit_s: float = 0.0) -> None:
-        """Send a command whose answer is a code, when it is done. Raises DeviceError."""
+        """Send a command and wait for its end, when the device replies with a code. Raises DeviceError."""
         line = self._read_result(command, limit_s or self.limit_s("answer", ANSWER_S))
         code = line.split()[0] if line.split() else ""
         if not re.fullmatch(r"\d{2}|\d{4}", code):
@@ -414,7 +415,7 @@ class HudsonDriver(Wired):
             raise self._make_error(command, int(code), line, "unknown")
 
     def _read_result(self, command: str, limit_s: float) -> str:
-        """Send a command and return the line after its echo."""
+        """Send a command; returns the line after its echo."""
         self.link.exchange(command.encode(), self.limit_s("echo", ECHO_S))
         return self._read_line(limit_s)
 
@@ -445,7 +446,7 @@ def _is_yes_or_no(text: str) -> bool:
 
 
 class _Refused(DeviceError):
-    """A code that is not zero."""
+    """The device has replied with a code other than zero."""
 
 
 def _format_number(value: float) -> str:
@@ -459,7 +460,7 @@ def _describe(joints: Joints) -> str:
 
 
 class SciclopsDialect:
-    """Millimetres and degrees, with the axes' names."""
+    """Positions in millimetres and degrees, with the letters of the axes."""
 
     who = "a SciClops"
     order = "ZRYP"
@@ -477,7 +478,7 @@ class SciclopsDialect:
 
 
 class PlateCraneDialect:
-    """Motor steps, without names."""
+    """Positions in motor steps, without the letters of the axes."""
 
     who = "a PlateCrane"
     order = "RZPY"

@@ -1,7 +1,7 @@
 """Simulated arms of Hudson Robotics at the far end of a line.
 
-They repeat each command, and answer it when it is done. Results other than 0000, 0002, 0014, 0021 and
-1400 are invented, as is that a command sent in mid-motion waits: none of it is published.
+They repeat each command, and answer it when it is done. Result codes other than 0000, 0002, 0014, 0021 and
+1400 are invented. That a command waits for the end of a motion is invented too. Neither is published.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ HOME_S, FINGERS_S, SPOT = 28.0, 1.0, 1.5
 
 
 class HudsonOnWire(OnLine):
-    """The simulated arm. ``points`` are those that it was taught; ``homed``: it has been homed since it was
-    switched on; ``is_slippery``: what it holds falls down on its way."""
+    """The simulated arm. ``points`` are its taught points. ``homed``: it has been homed since it was switched
+    on. ``is_slippery``: it drops a held plate during a motion."""
 
     dialect: ClassVar[Dialect]
     sizes: ClassVar[Sizes]
@@ -38,7 +38,7 @@ class HudsonOnWire(OnLine):
         self.homed = homed
         self.error = 0
         self.at = Joints(0.0, self.sizes.travel_z, 0.0, self.sizes.retracted_y)
-        # What it held when its power went it holds still.
+        # A gripper that held a plate when the power failed still holds it.
         self.fingers = "between" if self.find_held_plate() else "open"
         self.is_slippery = False
         self.stored = dict(self.points)
@@ -111,7 +111,7 @@ class HudsonOnWire(OnLine):
         else:
             self._send_result(UNKNOWN_COMMAND)
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def _start_motion(self, lab_s: float, what: Callable[[], None]) -> None:
         self.is_in_motion = True
@@ -149,7 +149,7 @@ class HudsonOnWire(OnLine):
         self.world.leave(self.name)
 
     def _stop_at_contact(self, target: Joints) -> Joints:
-        """The joints at which a descent over a stack really ends."""
+        """The joints at which a jog ends: a descent over a stack ends when the hand touches the stack."""
         place = self._find_place_under(target)
         if place not in self._stacks or target.z > self.at.z:
             return target
@@ -180,7 +180,7 @@ class HudsonOnWire(OnLine):
         self.fingers = "open"
 
     def _find_place_under(self, joints: Joints) -> str:
-        """The place that the hand is over."""
+        """The place that is below the hand at these joints; empty if there is none."""
         unit = self.dialect.unit
         for place, spot in self._spots.items():
             if max(abs(joints.r - spot.r), abs(joints.p - spot.p), abs(joints.y - spot.y)) < SPOT * unit:
@@ -188,7 +188,7 @@ class HudsonOnWire(OnLine):
         return ""
 
     def _find_spot(self) -> str:
-        """The place of the fingers, or the place of the lid on the plate there; empty if there is none."""
+        """The place at which the fingers are, or that of the lid on its plate; empty if there is none."""
         place = self._find_place_under(self.at)
         if not place:
             return ""
@@ -196,7 +196,7 @@ class HudsonOnWire(OnLine):
         above = (self.at.z - self._spots[place].z) / unit
         if place in self._stacks:
             top = len(self.world.at(place)) * self.sizes.plate_mm
-            # Round the topmost plate, or with a plate in the hand that stands on it.
+            # The fingers are around the topmost plate, or a plate in the hand stands on it.
             return place if -SPOT < above - (top - self.sizes.plate_mm) < 2 * self.sizes.plate_mm else ""
         if abs(above) < SPOT:
             return place
@@ -207,15 +207,15 @@ class HudsonOnWire(OnLine):
         return ""
 
     def damage(self, crash: Crash) -> None:
-        """The arm stops where it is, and reports it."""
+        """The arm stops its motion and reports the crash."""
         self.forget_plans()
         self.error = CRASHED
         self._finish(CRASHED)
 
-    # -- speaking ----------------------------------------------------------------------------
+    # -- replies -----------------------------------------------------------------------------
 
     def format_position(self, joints: Joints) -> str:
-        """A position in the form of an answer to ``GETPOS``."""
+        """A position in the format of a reply to ``GETPOS``."""
         raise NotImplementedError
 
     def _send_data(self, text: str) -> None:

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the arms of Hudson Robotics alike."""
+"""What the declarations of all arms of Hudson Robotics for the torture suite share."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ WAITS = {
 
 
 def close_fingers_on_plate(arm: HudsonOnWire, world: World) -> None:
-    """Somebody puts a plate between its fingers."""
+    """A person puts a plate between its fingers: they are neither open nor fully closed."""
     arm.fingers = "between"
 
 
 def open_fingers(arm: HudsonOnWire, world: World) -> None:
-    """Somebody opens its fingers."""
+    """A person opens its fingers."""
     arm.fingers = "open"
 
 
 def make_faults(source: str, target: str) -> tuple[Fault, ...]:
-    """Faults of a transfer between two places of the arm's own."""
+    """The faults of a transfer between two of the arm's own places."""
     return (
         Fault("no plate at the source", remove_plate(source)),
         Fault("a plate at the target already", occupy(target)),

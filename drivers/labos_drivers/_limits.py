@@ -1,7 +1,8 @@
-"""What a lab knows better than a driver: how long its device may take, and how its serial line is set.
+"""Settings of a lab that replace a driver's defaults: time limits, and the settings of the serial line.
 
-``deadlines:`` of a module's config gives seconds, or texts as ``10 min``, by name; ``baudrate``, ``parity``,
-``bytesize`` and ``stopbits`` are those of a converter or a device that was set otherwise than as shipped.
+``deadlines:`` in a module's config gives time limits by name, as seconds or as texts such as ``10 min``.
+``baudrate``, ``parity``, ``bytesize`` and ``stopbits`` are for a converter, or for a device that is not set
+as shipped.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ BYTESIZES, STOPBITS = (5, 6, 7, 8), (1, 1.5, 2)
 
 
 def read_deadlines(setup: Setup, known: Collection[str]) -> dict[str, float]:
-    """Seconds by name, from ``deadlines:`` of the config. Raises DeviceError."""
+    """The time limits (s) by name, from ``deadlines:`` of the config; empty if unset. Raises DeviceError."""
     configured = setup.config.get("deadlines")
     if configured is None:
         return {}
@@ -52,7 +53,7 @@ def _read_seconds(setup: Setup, name: str, configured: Any) -> float:
 
 
 def _parse_seconds(text: str) -> Any:
-    """The seconds of a text such as ``10 min``; the text itself if it is no duration."""
+    """The seconds in a text such as ``10 min``; the text itself if it is not a duration."""
     from pydantic import TypeAdapter, ValidationError
 
     from labos.node.mapping import Seconds
@@ -64,7 +65,7 @@ def _parse_seconds(text: str) -> Any:
 
 
 def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: Parity = "N") -> SerialWire:
-    """A serial port with the settings of the device as shipped, unless the config has others. Raises
+    """A serial port with the settings from the config. Those that are not there are as shipped. Raises
     DeviceError."""
     found = read_setting(setup, "baudrate", baudrate, PositiveInt, f"As shipped: {baudrate}.")
     chosen = {
@@ -76,7 +77,8 @@ def make_serial_wire(setup: Setup, port: str, *, baudrate: int = 9600, parity: P
 
 
 def read_setting(setup: Setup, key: str, usual: Any, kind: Any, remedy: str = "") -> Any:
-    """A setting of the config, of a type with limits that msgspec knows. Raises DeviceError."""
+    """A setting from the config, or ``usual`` if it is not there. msgspec checks that it fits ``kind``, a
+    type with limits. Raises DeviceError."""
     configured = setup.config.get(key, usual)
     try:
         return msgspec.convert(configured, kind)

@@ -1,4 +1,4 @@
-"""Simulated devices that answer HTTP, in lab time and one question at a time."""
+"""Simulated devices that answer HTTP requests, in lab time and one request at a time."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ class Reply(msgspec.Struct):
 
 
 class Request(msgspec.Struct):
-    """An HTTP request. ``parts`` are those of the path; names of headers are in lower case. The answer goes
-    to ``replies``."""
+    """An HTTP request. ``parts`` are the parts of the path. The names of headers are in lower case. The reply
+    goes to ``replies``."""
 
     method: str
     parts: tuple[str, ...]
@@ -50,7 +50,7 @@ class Request(msgspec.Struct):
 
 
 class HttpEnd:
-    """A port that takes requests; ``spoil`` changes answers on their way (None: they are lost)."""
+    """A port that accepts requests. ``spoil`` changes each reply; if it returns None, the reply is lost."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 0) -> None:
         self.host, self.port = host, port
@@ -64,7 +64,7 @@ class HttpEnd:
         return f"http://{self.host}:{self.port}"
 
     def plug(self) -> None:
-        """The device can be reached, at the same address as before."""
+        """Open the port: the device can be reached, at the same address as before."""
         if self._server is None:
             self._server = _Server((self.host, self.port), _handler(self))
             self.port = self._server.server_port
@@ -72,7 +72,7 @@ class HttpEnd:
             thread.start()
 
     def unplug(self) -> None:
-        """The port closes; a client that waits loses its connection."""
+        """Close the port. A client that waits loses its connection."""
         server, self._server = self._server, None
         if server is not None:
             server.shutdown()
@@ -85,7 +85,8 @@ class HttpEnd:
         return self._server is not None
 
     def exchange(self, request: Request) -> bytes | None:
-        """Give the device a request and wait for its answer, as bytes; None if the connection is lost."""
+        """Give the device a request and wait for its reply; returns it as bytes. None if the port closes, the
+        reply is lost, or ``LONGEST_ANSWER_S`` have passed."""
         self.requests.put(request)
         waited = 0.0
         while self.is_plugged and waited < LONGEST_ANSWER_S:
@@ -103,7 +104,7 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """A client that closes its connection is no error."""
+        """Do nothing: a client that closes its connection is not an error."""
 
 
 def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
@@ -127,13 +128,13 @@ def _handler(end: HttpEnd) -> type[BaseHTTPRequestHandler]:
                 self.wfile.write(raw)
 
         def log_message(self, format: str, *args: Any) -> None:
-            """Nothing is written to the terminal."""
+            """Write nothing to the terminal."""
 
     return Handler
 
 
 class OnHttp(Timed):
-    """A device at the far end of a network cable; subclasses say how it answers (``answer``)."""
+    """A device at the far end of a network cable. Subclasses implement its replies (``answer``)."""
 
     def __init__(self, setup: Setup, end: HttpEnd | None = None) -> None:
         super().__init__(setup)
@@ -159,5 +160,5 @@ class OnHttp(Timed):
             raise
 
     def answer(self, request: Request) -> Reply:
-        """The response to a request."""
+        """The reply to a request."""
         raise NotImplementedError

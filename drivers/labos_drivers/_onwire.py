@@ -1,7 +1,7 @@
-"""Simulated devices behind a wire: they receive bytes, move in lab time, and send when they like.
+"""Simulated devices behind a wire: they receive bytes, move in lab time, and may send at any time.
 
-As with every simulated device, nothing here knows of effects or occupancy, nor of the driver at the
-other end.
+Like all simulated devices, they know nothing of effects, of occupancy, or of the driver at the other end of
+the wire.
 """
 
 from __future__ import annotations
@@ -15,38 +15,38 @@ from labos_drivers._simulation import Simulated
 
 
 class Timed(TimedDevice, Simulated):
-    """A simulated device with a thread of its own, whose durations scatter."""
+    """A simulated device with its own thread. Its durations vary at random."""
 
     def __init__(self, setup: Setup) -> None:
         Simulated.__init__(self, setup)
         TimedDevice.__init__(self, setup)
 
     def damage(self, crash: Crash) -> None:
-        """Something was hit: the device stands still and reports it."""
+        """The device has collided with something: it stops and reports this."""
         raise NotImplementedError
 
     def read_clock(self) -> float:
         return time.monotonic() * self._pace
 
     def after(self, lab_s: float, what: Callable[[], None], *, exact: bool = False) -> None:
-        """Do something in so many lab seconds; the time scatters unless ``exact``."""
+        """Do something after this number of lab seconds, which varies at random unless ``exact``."""
         super().after(lab_s if exact else self.scatter(lab_s), what)
 
 
 class OnWire(Timed, ReceivingDevice):
-    """A device at the far end of a line; subclasses say what it does with what it receives (``receive``)."""
+    """A device at the far end of a line. Subclasses implement the reaction to bytes (``receive``)."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup)
         self.end = self.far_end = end or self.make_end()
 
     def make_end(self) -> FarEnd:
-        """The far end that the device has if none is given."""
+        """The far end of the device, if ``__init__`` gets none."""
         return serial_end()
 
 
 class OnLine(OnWire):
-    """A device that receives lines; subclasses say what it does with each (``obey``)."""
+    """A device that receives lines. Subclasses implement the reaction to each line (``obey``)."""
 
     line_end = b"\n"
     _partial = b""
@@ -57,5 +57,5 @@ class OnLine(OnWire):
             self.obey(line.strip().decode("utf-8", "replace"))
 
     def obey(self, line: str) -> None:
-        """A line was received; it is given without its end."""
+        """React to a received line, which is given without its line end."""
         raise NotImplementedError

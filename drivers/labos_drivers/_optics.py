@@ -1,7 +1,7 @@
-"""What simulated instruments see of liquids: dyes absorb light, by the law of Beer and Lambert.
+"""What simulated instruments measure of liquids: dyes absorb light, by the law of Beer and Lambert.
 
-Light goes through a well from above. So what a dye absorbs depends on its amount over the well's area, not
-on what it was diluted with.
+Light passes through a well from above. So the absorbance of a dye depends on its amount per area of the well,
+not on its dilution.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ BLANK_OD = 0.04
 
 
 def color_of(contents: Contents) -> Color:
-    """Red, green and blue (0 to 255) of a well."""
+    """The color of a well as red, green and blue (0 to 255)."""
     red, green, blue = (255 * 10**-density for density in _density(contents))
     return red, green, blue
 

@@ -1,8 +1,9 @@
-"""What a simulated synthesis makes, and what a simulated reader sees of it: copolymers that absorb light.
+"""What a simulated synthesis makes, and what a simulated reader measures: copolymers that absorb light.
 
-A copolymer of three monomers has a band at the energy of its gap. The gap is that of its monomers by their
-shares, narrowed where different monomers alternate, and wider for short chains (1/n, after Kuhn). Where
-donors and acceptors alternate a second band appears above it. All numbers are invented.
+A copolymer of three monomers has an absorption band at the energy of its gap. The gap is the mean of those of
+its monomers, weighted by their shares. It is narrower where different monomers alternate, and wider for short
+chains (1/n, after Kuhn). Where donors and acceptors alternate, a second band appears at a higher energy. All
+numbers are invented.
 """
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ EV_NM = 1239.84
 
 
 class Polymer(NamedTuple):
-    """What is in a well: µL of each monomer's solution, and units in a chain."""
+    """The content of a well: the µL of each monomer's solution, and the number of units in a chain."""
 
     volumes_ul: tuple[float, float, float]
     length: float
 
 
 def find_polymers(world: World, plate: str) -> dict[str, Polymer]:
-    """The polymers on a plate by well: those that were made in a well last."""
+    """The polymers on a plate by well. If several were made in a well, the last one counts."""
     made: dict[str, Polymer] = {}
     for motion in world.motions("synthesise"):
         if not plate or motion.plate != plate:
@@ -48,7 +49,7 @@ def find_polymers(world: World, plate: str) -> dict[str, Polymer]:
 
 
 def gap_ev(polymer: Polymer) -> float:
-    """The energy of the first band."""
+    """The energy of the first band (eV)."""
     a, b, c = _shares(polymer)
     alone = sum(share * gap for share, gap in zip((a, b, c), GAPS_EV, strict=True))
     return alone - BOWING_EV * 4 * (a * b + b * c + a * c) / 3 + SHORTER_EV / max(polymer.length, 1.0)
@@ -67,7 +68,7 @@ def absorbance_of(polymer: Polymer, nm: float) -> float:
 
 
 def find_bubbles(world: World, plate: str) -> set[str]:
-    """Wells with a bubble. The motion of the reader's carrier removes bubbles: a second reading finds
+    """The wells with a bubble. The motion of the reader's carrier removes bubbles, so a second reading finds
     none."""
     found: set[str] = set()
     for motion in world.motions():
@@ -79,7 +80,7 @@ def find_bubbles(world: World, plate: str) -> set[str]:
 
 
 def add_noise(od: float, draw: Callable[[float, float], float], most_od: float) -> float:
-    """The optical density that a reader reports: with noise, and no higher than it can measure."""
+    """The optical density that a reader reports: with noise, and at most the highest one that it measures."""
     return min(od + draw(0.0, 0.003 + 0.002 * od), most_od)
 
 

@@ -1,8 +1,7 @@
-"""What simulated devices share: a clock that runs at the bench's pace, and a lid.
+"""What simulated devices share: lab time, durations that vary, and lids or drawers on the simulated bench.
 
-Nothing here, and nothing in any ``simulator.py``, knows of effects or occupancy. A device
-knows its places, its hand and the world's physics, so that a test can hold the world against
-the log.
+Neither this module nor any ``simulator.py`` knows of effects or occupancy. A device knows its places, its
+hand and the physics of the world. So a test can compare the world with the log.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class Simulated(Refusing):
         return place_of(self._setup, name)
 
     async def take_time(self, nominal_s: float) -> None:
-        """Wait for so many lab seconds. Raises DeviceError if the device is stopped meanwhile."""
+        """Wait about this number of lab seconds. Raises DeviceError if the device is stopped meanwhile."""
         pace = self._setup.pace
         self._pause = pause = asyncio.ensure_future(asyncio.sleep(self.scatter(nominal_s) / pace))
         try:
@@ -63,19 +62,20 @@ class Simulated(Refusing):
             raise DeviceError(f"{self.name} was stopped in mid-motion.", remedy="Look at it, then reset.")
 
     def read_clock(self) -> float:
-        """Lab time (s) by this machine's clock; only differences mean something."""
+        """Lab time (s) by the clock of this computer. Only the difference of two readings has a meaning."""
         return asyncio.get_running_loop().time() * self._setup.pace
 
     def scatter(self, nominal_s: float) -> float:
-        """A random duration (s) near the nominal one, as real devices need."""
+        """A random duration (s) near the nominal one, because the durations of real devices vary."""
         return nominal_s * self._random.uniform(1 - JITTER, 1 + JITTER)
 
     @contextmanager
     def motion(self, *, drawn_in: bool = False) -> Iterator[None]:
-        """The device is at work; while ``drawn_in``, hands that reach into its drawers crash.
+        """The device is at work. With ``drawn_in``, its drawers are shut: hands that reach for them crash.
 
-        A device that reports an error comes back out; one that was stopped, crashed or switched
-        off stays as it was until it is reset or started again.
+        After an error that the device reports, the drawers come out. A device that was stopped, has
+        crashed or was switched off stays as it is until it is reset or started again. Raises DeviceError if
+        the device is stopped or busy.
         """
         if self._halted:
             raise DeviceError(f"{self.name} is stopped.", effects="none", remedy="Reset it.")
@@ -98,7 +98,7 @@ class Simulated(Refusing):
             self.moving = False
 
     def shut(self, *places: str) -> None:
-        """A lid closes over, or a drawer takes in, places of this device."""
+        """Close a lid over these places of the device, or draw in the drawer with them."""
         for place in map(self.place, places):
             self.world.gate(self.name, place, shut=True)
 
@@ -108,24 +108,24 @@ class Simulated(Refusing):
                 self.world.gate(self.name, place, shut=False)
 
     def shut_at_first(self, *places: str) -> None:
-        """So it leaves the factory; since then, it stays as it was moved last."""
+        """Shut these places, as shipped. Does nothing if the device has opened or shut a place before."""
         moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
         if not any(motion.device == self.name for motion in moved):
             self.shut(*places)
 
     def furnish(self, capacity: int, *places: str) -> None:
-        """Places of this device hold so many plates, unless the bench says otherwise."""
+        """Give these places of the device room for ``capacity`` plates, unless the bench has done this."""
         for place in map(self.place, places):
             if not self.world.is_furnished(place):
                 self.world.furnish(place, capacity)
 
     def top(self, place: str) -> str:
-        """The plate on top at a place, or empty."""
+        """The topmost plate at a place; empty if there is none."""
         plates = self.world.at(place)
         return plates[-1] if plates else ""
 
     def find_held_plate(self) -> str:
-        """The plate in the device's hand, or empty."""
+        """The plate in the device's hand; empty if there is none."""
         return self.top(f"hand:{self.name}")
 
     def is_waste(self, place: str) -> bool:
@@ -133,7 +133,7 @@ class Simulated(Refusing):
         return place in chutes or place.rpartition(".")[2].lower() in ("trash", "waste")
 
     def open_hand(self, place: str, grip: str = "") -> None:
-        """Open the hand at a place; what falls into the waste is gone."""
+        """Open the hand at a place. At a waste, the plate is discarded."""
         if self.is_waste(place):
             self.world.discard(self.name, place)
         else:
@@ -161,34 +161,35 @@ class Simulated(Refusing):
         return not self.moving
 
     def stop(self) -> None:
-        """Stop all motion at once; the hand keeps what it holds."""
+        """Stop all motion at once. The hand keeps what it holds."""
         self._halted = True
         if self._pause is not None:
             self._pause.cancel()
 
     def reset(self) -> None:
-        """Bring the device out of a stop; its drawers come out."""
+        """End a stop of the device. Its drawers come out."""
         self._halted = False
         self.open(*self.drawers)
         self.world.leave(self.name)
 
     def observe(self) -> dict[str, Any]:
-        """What the device's own sensors see, in the form of ``Node.observe``."""
+        """The readings of the device's own sensors, in the form of ``Node.observe``."""
         return {}
 
     def close(self) -> None:
-        """Power off."""
+        """Switch the device off."""
 
 
 def place_of(setup: Setup, name: str) -> str:
-    """The bench's name of a place: without the workcell, as ``module.place``; a device's own places get its
-    name."""
+    """The bench's name of a place: ``module.place``, without the workcell. A name without a module is a place
+    of the device itself."""
     bare = name.rpartition("/")[2].replace(".positions.", ".")
     return bare if "." in bare or ":" in bare else setup.place(bare)
 
 
 class Settling:
-    """A quantity that goes to its goal like a first-order system; ``clock`` tells lab time (s)."""
+    """A quantity that approaches its goal like a first-order system, with the time constant ``settles_s``.
+    ``clock`` returns lab time (s)."""
 
     def __init__(self, start: float, settles_s: float, clock: Callable[[], float]) -> None:
         self.goal = self._from = start
@@ -203,7 +204,7 @@ class Settling:
 
 
 class Gated(Simulated):
-    """A device behind a lid, hood or carrier, which stays where it is when the power goes."""
+    """A device with a lid, hood or carrier, which stays where it is when the power fails."""
 
     behind: tuple[str, ...] = ("default",)
     variable = "lid"
@@ -220,7 +221,7 @@ class Gated(Simulated):
             await self.take_time(self.gate_s)
 
     def check_closed(self) -> None:
-        """Raise DeviceError if the lid is open; nothing has moved then."""
+        """Check that the lid is closed. Raises DeviceError if it is open; nothing has moved then."""
         if not self.is_closed():
             raise self.make_refusal(f"the {self.variable} is open", f"Close the {self.variable} first.")
 
@@ -232,7 +233,7 @@ class Gated(Simulated):
 
 
 class Device(Protocol):
-    """What a node needs of its device, simulated or at the end of a wire."""
+    """The methods of a device that its node calls. The device is simulated or at the end of a wire."""
 
     def is_idle(self) -> bool | Awaitable[bool]: ...
 
@@ -263,10 +264,10 @@ class Instrument(Node):
         return await await_answer(self.device.observe())
 
     async def close(self) -> None:
-        if hasattr(self, "device"):  # it is not there if it could not be connected
+        if hasattr(self, "device"):  # there is none if `connect` failed
             await await_answer(self.device.close())
 
 
 async def await_answer(answer: T | Awaitable[T]) -> T:
-    """The answer itself; one that is awaitable is awaited."""
+    """The answer. If it is awaitable, it is awaited first."""
     return await answer if isinstance(answer, Awaitable) else answer

@@ -1,4 +1,4 @@
-"""What can happen to many instruments, for their declarations for the torture suite."""
+"""Faults that many instruments can have, for their declarations for the torture suite."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ Strike = Callable[[Any, World], None]
 
 
 def remove_plate(place: str) -> Strike:
-    """Somebody takes the plate at a place away."""
+    """A person takes the plate at a place away."""
     return lambda device, world: world.carry(device.top(device.place(place)), "")
 
 
 def occupy(place: str) -> Strike:
-    """Somebody puts a plate on a place."""
+    """A person puts a plate on a place."""
 
     def stock(device: Any, world: World) -> None:
         world.stock(device.place(place), "plate96")
@@ -33,7 +33,7 @@ def use_up(resource: str) -> Strike:
 
 
 def refill(resource: str, amount: float) -> Strike:
-    """Somebody gives the device a new pack."""
+    """A person puts a new pack of a resource into the device."""
     return lambda device, world: world.supply(device.name, resource, amount)
 
 

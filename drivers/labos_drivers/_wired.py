@@ -1,8 +1,8 @@
-"""Devices at the end of a wire: blocking commands, called off the event loop.
+"""Drivers of devices at the end of a wire: blocking methods, which do not run on the event loop.
 
-A driver is a subclass of ``Wired`` whose methods block; those that a node calls are marked
-``@off_loop`` and become awaitable. They run one after the other in one thread, so a device is never
-asked two things at once, and the node's loop never waits for a wire.
+A driver is a subclass of ``Wired`` with blocking methods. Those that a node calls are marked ``@off_loop``,
+which makes them awaitable. They run one after the other in one thread. So a device never gets two commands
+at once, and the node's loop never waits for a wire.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ DeviceOnWire: TypeAlias = WiredDevice
 def off_loop(
     method: Callable[Concatenate[D, P], T],
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
-    """Make a blocking method awaitable: it runs in the driver's thread."""
+    """Make a blocking method awaitable. It runs in the driver's thread."""
     return _run_in("run", method)
 
 
 def during_motion(
     method: Callable[Concatenate[D, P], T],
 ) -> Callable[Concatenate[D, P], Coroutine[Any, Any, T]]:
-    """Make a blocking question awaitable: it runs in a thread of its own, and does not wait for the end of a
-    motion."""
+    """Make a blocking question awaitable. It runs in the driver's second thread, so it does not wait for the
+    end of a motion."""
     return _run_in("ask", method)
 
 
@@ -61,9 +61,9 @@ def _run_in(
 
 
 class Wired(Refusing):
-    """Base of drivers, which set ``link``, to the ``address`` of their device. ``simulator`` is the simulated
-    device behind the wire, if there is one; ``where`` is the key of the workcell file that names a real one,
-    with an example; ``deadlines`` are those that the file may set."""
+    """Base of drivers. A subclass sets ``link``, which leads to the ``address`` of its device. ``simulator``
+    is the simulated device behind the wire, if there is one. ``where`` is the key in the workcell file for
+    the address of a real device, with an example. ``deadlines`` are the time limits that the file may set."""
 
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
     deadlines: ClassVar[tuple[str, ...]] = ()
@@ -81,21 +81,22 @@ class Wired(Refusing):
         self._halted = threading.Event()
 
     def limit_s(self, deadline: str, usual_s: float) -> float:
-        """How long something may take (s): as ``deadlines:`` of the config says, else as usual."""
+        """The time limit with this name (s): from ``deadlines:`` of the config, else ``usual_s``."""
         assert deadline in self.deadlines, deadline
         return self._deadlines.get(deadline, usual_s)
 
     def see_unit(self, serial: Any) -> None:
-        """Report the device's serial number, when it is recognised. Raises WrongDevice."""
+        """Check the serial number that the device has reported; called at each connection. Raises
+        WrongDevice, NotConnected."""
         see_unit(self._setup, serial)
 
     def note_firmware(self, version: Any) -> None:
-        """Note the device's version, when it is recognised."""
+        """Store the firmware version that the device has reported; called at each connection."""
         self._setup.firmware = str(version or "").strip()
 
     @off_loop
     def connect(self) -> None:
-        """Find the device; nothing moves. Raises NotConnected, WrongDevice."""
+        """Connect to the device; nothing moves. Raises NotConnected, WrongDevice."""
         self.link.open()
 
     def disconnect(self) -> None:
@@ -103,8 +104,8 @@ class Wired(Refusing):
         self.link.close()
 
     async def stop(self) -> None:
-        """Send nothing more until a reset. A device without a stop command ends what it has begun. Raises
-        DeviceError then, so that whoever stopped it knows."""
+        """Send no further command that moves until a reset. A device without a stop command completes a
+        motion in progress. Raises DeviceError then, so that the person who stopped it knows."""
         self._halted.set()
         if self.moving:
             raise DeviceError(
@@ -113,8 +114,8 @@ class Wired(Refusing):
             )
 
     async def close(self) -> None:
-        """Close the connection. A question that is under way in the driver's thread keeps it open, and must
-        not keep the node from ending."""
+        """Close the connection. A call that still waits for the device keeps it open. This method waits
+        for it only for ``CLOSE_S``, so that the node can end."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self.ask(self.disconnect), CLOSE_S)
         self.run.close()
@@ -131,31 +132,31 @@ class Wired(Refusing):
         raise NotImplementedError
 
     def observe(self) -> Awaitable[dict[str, Any]]:
-        """What the device's own sensors see, in the form of ``Node.observe``."""
+        """The readings of the device's own sensors, in the form of ``Node.observe``."""
         raise NotImplementedError
 
     def trouble(self) -> Awaitable[str]:
-        """What the device says is wrong now; empty if nothing is."""
+        """The present error that the device reports; empty if there is none."""
         raise NotImplementedError
 
     def follow(self, handle: str) -> Awaitable[Any]:
-        """The end of what was noted under this handle before; nothing is started. Raises DeviceError,
-        OutcomeUnknown."""
+        """Wait for the end of the action that was journalled with this handle; returns its result. Nothing is
+        started. Raises DeviceError, OutcomeUnknown."""
         raise NotImplementedError
 
     def check_not_stopped(self, effects: str = "none") -> None:
-        """Raise DeviceError if the device was stopped; called before each command that moves."""
+        """Check that the device was not stopped, before each command that moves. Raises DeviceError."""
         if self._halted.is_set():
             raise DeviceError(f"{self.name} was stopped.", effects=effects, remedy="Reset it.")
 
     def resume(self) -> None:
-        """A reset ends a stop."""
+        """End a stop; a reset calls this."""
         self._halted.clear()
 
     @staticmethod
     def ask_again(ask: Callable[[], T], limit_s: float, pause_s: float) -> T:
-        """Ask a device that goes on by itself; while it cannot be reached, it is asked again for so long.
-        Raises LinkError."""
+        """The answer of a device that continues by itself. While the link fails, it is asked again, but no
+        longer than ``limit_s``. Raises LinkError after that, and WrongDevice at once."""
         deadline = time.monotonic() + limit_s
         while True:
             try:
@@ -169,7 +170,7 @@ class Wired(Refusing):
 
     @contextmanager
     def report_no_effects(self) -> Iterator[None]:
-        """For questions before a motion: an error in them is reported with the effects ``none``."""
+        """For questions before a motion: their errors are reported with the effects ``none``."""
         try:
             yield
         except DeviceError as error:
@@ -178,7 +179,7 @@ class Wired(Refusing):
 
     @contextmanager
     def motion(self) -> Iterator[None]:
-        """The device is at work."""
+        """The device is at work. Raises DeviceError if it was stopped before."""
         self.check_not_stopped()
         self.moving = True
         try:
@@ -188,8 +189,9 @@ class Wired(Refusing):
 
 
 class OnBenchOrWire(Instrument):
-    """A node whose device is simulated on the bench, simulated behind its wire, or real; ``devices``
-    says as what. ``follows`` are the actions whose end the driver finds out by a handle after a restart."""
+    """A node whose device is simulated on the bench, simulated behind its wire, or real. ``devices`` has a
+    class for each of the three. ``follows`` are the actions whose end the driver finds by a handle after a
+    restart."""
 
     devices: ClassVar[tuple[Callable[[Setup], Simulated], Callable[[Setup], DeviceOnWire], type[Wired]]]
     follows: ClassVar[tuple[str, ...]] = ()
@@ -222,8 +224,8 @@ class OnBenchOrWire(Instrument):
 
 
 class ReportsTrouble(OnBenchOrWire):
-    """A node whose driver asks its device for ``trouble``. It tells what the device said both now and before,
-    so that what flickers is not told. A line that is lost is told by whatever is asked next."""
+    """A node whose driver asks its device for ``trouble``. It reports an error that the device reported twice
+    in a row, so a short flicker is not reported. A lost connection is reported by the next question."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -241,7 +243,7 @@ class ReportsTrouble(OnBenchOrWire):
 
 
 def find_address(setup: Setup, key: str, example: str) -> str:
-    """The address of the module's device, from the workcell file. Raises DeviceError."""
+    """The address of the module's device from the workcell file. Raises DeviceError if there is none."""
     address = setup.config.get(key)
     if not isinstance(address, str) or not address:
         raise make_refusal(
@@ -253,8 +255,8 @@ def find_address(setup: Setup, key: str, example: str) -> str:
 
 
 def parse_host_port(address: str, port: int) -> tuple[str, int]:
-    """Host and port of ``host``, ``host:port`` or a URL of them; ``port`` if it names none. Raises
-    DeviceError."""
+    """The host and the port in ``host``, ``host:port`` or a URL of them. Without a port, it is ``port``.
+    Raises DeviceError."""
     host, colon, digits = address.rpartition("//")[2].partition(":")
     if colon and not digits.isdecimal():
         raise DeviceError(

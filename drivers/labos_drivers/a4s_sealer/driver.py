@@ -1,4 +1,4 @@
-"""Drives a real a4S over its serial port."""
+"""The driver of the a4S sealer, over its serial port."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ WHO = "an a4S sealer"
 
 
 class SealerDriver(Wired):
-    """Commands of the device. The device accepts a command long before it is done, so that each
-    waits until the streamed status shows what was asked for; and the record read just after a
-    command is an old one, so that a cycle has to be seen to begin before its end is believed."""
+    """Commands of the device. The device accepts a command long before it has carried it out. So the driver
+    waits until the streamed status shows the requested state. A record that is read just after a command may
+    be from before it. So a cycle counts as ended only if the driver saw it begin, or saw a new "finished"."""
 
     deadlines = ("record", "accept", "shuttle", "heat", "begin", "cycle")
     link: Link
@@ -45,7 +45,7 @@ class SealerDriver(Wired):
 
     @off_loop
     def seal(self, time_s: float, temperature_c: float) -> None:
-        """Heat, draw the plate in, press, hand it out."""
+        """Heat, then seal the plate: the shuttle draws it in and brings it out again. Raises DeviceError."""
         with self.motion():
             self._refuse_unless_fit(self._read_fresh_status())
             self._command(b"DT", round(time_s * 10))
@@ -61,7 +61,7 @@ class SealerDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Clear an error; the shuttle homes, so nothing may be in its way."""
+        """Clear an error and home the shuttle: nothing may be in its way. Raises DeviceError."""
         self._status = None
         self._command(b"SR")
         with self.under_way():
@@ -75,15 +75,15 @@ class SealerDriver(Wired):
 
     @off_loop
     def observe(self) -> dict[str, Any]:
-        """The device has no sensor for plates."""
+        """Nothing, because the device has no sensor for plates. Raises DeviceError if it sends no status."""
         self._read_fresh_status()
         return {}
 
-    # -- one command, one wait ---------------------------------------------------------------
+    # -- one command, and waiting for its result ---------------------------------------------
 
     def _command(self, name: bytes, argument: int | None = None) -> None:
-        """Send a command, and wait until it is accepted. Raises DeviceError: nothing has moved if it is
-        rejected."""
+        """Send a command, and wait until it is accepted. Raises DeviceError; if the command was rejected,
+        nothing has moved."""
         text = b"00" + name + b"=" + (b"" if argument is None else b"%04d" % argument)
         answer = self.link.exchange(text, self.limit_s("accept", ACCEPT_S))
         if answer[:1] == b"Y":
@@ -96,7 +96,7 @@ class SealerDriver(Wired):
         )
 
     def _pass_over_acceptance(self) -> None:
-        """Ignore an acceptance after a rejection, which belongs to no command."""
+        """Discard the acceptance that some devices send after a rejection; it belongs to no command."""
         deadline = time.monotonic() + 0.3
         with contextlib.suppress(NoReply, HalfReply, Garbled):
             while (left := deadline - time.monotonic()) > 0:
@@ -122,8 +122,8 @@ class SealerDriver(Wired):
             )
 
     def _end_cycle(self, begun: Status) -> None:
-        """Wait until it rests. One that has restarted rests, too: its clock begins anew, or it stops counting
-        down far from the end. Raises DeviceError."""
+        """Wait until the cycle has ended. Raises DeviceError. It detects a device that has restarted: its
+        clock goes back, or it is idle although more than half of the countdown was left."""
         last = begun
 
         def has_ended(status: Status) -> bool:
@@ -159,11 +159,12 @@ class SealerDriver(Wired):
                 )
 
     def _wait(self, what: str, limit_s: float, reached: Any, *, fails: bool = True) -> Status:
-        """Wait until the status is as it should be. Raises DeviceError."""
+        """Wait until ``reached`` returns true for a status; returns this status. Raises DeviceError: after
+        ``limit_s``, and with ``fails`` also for an error of the device."""
         deadline = time.monotonic() + limit_s
         while True:
             status = self._read_fresh_status()
-            # An error that is told counts, whatever else the record says.
+            # A reported error counts, even if the rest of the record shows that the cycle has ended.
             if fails and (status.system == protocol.ERROR or status.error):
                 raise DeviceError(
                     f"{self.name}: sealer error {status.error:02d} before it did {what}.",
@@ -178,7 +179,7 @@ class SealerDriver(Wired):
                 )
 
     def _refuse_unless_fit(self, status: Status) -> None:
-        """Raise DeviceError before anything moves."""
+        """Raise DeviceError if the device cannot begin a cycle; nothing has moved then."""
         why, remedy = "", ""
         if status.system == protocol.ERROR or status.error:
             why, remedy = f"error {status.error:02d}", "Look at its display, then reset the module."
@@ -194,7 +195,7 @@ class SealerDriver(Wired):
         if why:
             raise self.make_refusal(f"{why}", remedy)
 
-    # -- what the device says by itself ------------------------------------------------------
+    # -- records that the device sends by itself ---------------------------------------------
 
     def _note_record(self, message: bytes) -> bool:
         if message[:1] == b"T":
@@ -205,7 +206,7 @@ class SealerDriver(Wired):
         return message[:1] in (b"T", b"D")
 
     def _read_fresh_status(self) -> Status:
-        """A status that was sent after now. Raises NoReply if the device is silent."""
+        """The next status from the device; older ones are discarded. Raises NoReply if it sends none."""
         if not self.link.is_open:
             self.link.open()
         self.link.drain()
@@ -217,7 +218,7 @@ class SealerDriver(Wired):
             try:
                 message = link.receive(max(deadline - time.monotonic(), 0.0))
             except (Garbled, HalfReply):
-                # The rest of a record that was under way when the line was emptied.
+                # The rest of a record: its beginning arrived earlier and was discarded.
                 if time.monotonic() > deadline:
                     raise
                 continue

@@ -1,4 +1,4 @@
-"""What the a4S sealer offers."""
+"""The node of the a4S sealer: its stations, resources and actions."""
 
 from __future__ import annotations
 

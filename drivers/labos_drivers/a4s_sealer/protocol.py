@@ -1,11 +1,12 @@
-"""The a4S on its wire: frames, check sums, status records.
+"""The serial protocol of the a4S: frames, check sums, status records.
 
-19200 baud, 8 data bits, no parity, 1 stop bit. ``*`` body, two letters of check sum, ``!``; the device
-closes each burst with a carriage return. The sum of the body's bytes and the check sum is 0xB5 modulo
-256; its two letters are nibbles, A for 0 to P for 15. Hosts may send ``zz`` in its place.
+19200 baud, 8 data bits, no parity, 1 stop bit. A frame is ``*``, the body, two letters of check sum, and
+``!``. The device ends each group of frames with a carriage return. The sum of the body's bytes and the
+check sum is 0xB5 modulo 256. Each letter of the check sum is a nibble, from A for 0 to P for 15. A host may
+send ``zz`` instead of the check sum.
 
-Sources: PyLabRobot/pylabrobot, pylabrobot/azenta/a4s.py; AD-SDL/a4s_sealer_module; the rule of the
-check sum was worked out from captured records.
+Sources: PyLabRobot/pylabrobot, pylabrobot/azenta/a4s.py; AD-SDL/a4s_sealer_module. The rule for the check
+sum was derived from captured records.
 """
 
 from __future__ import annotations
@@ -27,13 +28,12 @@ def check_sum(body: bytes) -> bytes:
 
 
 def framing() -> Checked:
-    """The framing of messages: a host sends them with the wildcard; what it hears is checked."""
+    """The framing of messages. A host sends the wildcard ``zz``, and checks what it receives."""
     return Checked(Terminated(b"!", start=b"*"), check_sum, 2, outgoing=b"zz")
 
 
 class Status(msgspec.Struct, frozen=True):
-    """A status record. ``remaining`` is what the device counts down in a cycle; its unit is
-    unpublished."""
+    """A status record. The device counts ``remaining`` down during a cycle; its unit is not published."""
 
     temperature_c: float
     system: int
@@ -49,11 +49,11 @@ class Status(msgspec.Struct, frozen=True):
 
     @property
     def shuttle(self) -> int:
-        """Where its sensors see the shuttle; more or less than one of the three tell nothing."""
+        """The bits of the shuttle's sensors that are on. The position is known only if exactly one is on."""
         return self.sensors & (SHUTTLE_MIDDLE | SHUTTLE_OUT | SHUTTLE_IN)
 
     def is_before(self, other: Status) -> bool:
-        """Whether the device's clock says that this was said earlier, and not just after midnight."""
+        """Whether this record is earlier by the device's clock; false if it has just passed midnight."""
         return self.clock < other.clock and not (other.clock >= "23:" and self.clock < "01:")
 
     @classmethod
@@ -67,7 +67,7 @@ class Status(msgspec.Struct, frozen=True):
         return cls(tenths / 10, system, heater, error, warning, sensors, remaining, clock)
 
     def body(self) -> bytes:
-        """The record as the device writes it."""
+        """The record as the device sends it, without frame and check sum."""
         return (
             f"T{self.clock}={round(self.temperature_c * 10):04d},{self.system},{self.heater},"
             f"{self.error:02d},{self.warning:02d},{self.sensors:03d},{self.remaining:03d}"

@@ -1,4 +1,4 @@
-"""A simulated a4S sealer."""
+"""A simulated a4S sealer, without a wire."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ USUAL_TIME_S = 3.0
 
 
 class SealerSimulator(Simulated):
-    """Draws the plate in, presses, hands it out; it has no plate sensor and seals anything."""
+    """Draws the plate in, seals it and brings it out. It has no plate sensor, so it starts in any case."""
 
     drawers = ("default",)
 

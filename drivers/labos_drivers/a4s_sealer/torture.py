@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the a4S."""
+"""The declaration of the a4S sealer for the torture suite."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """A simulated a4S at the far end of a serial line.
 
-It says its status every second and whenever that changes, accepts with ``Y``, rejects with ``N``,
-heats by 2 °C a second and takes seconds for its shuttle. Its error numbers are invented: none are
-published.
+It sends its status every second, with each answer, and when the shuttle arrives or an error occurs. It
+accepts a command with ``Y`` and rejects it with ``N``. Its temperature changes by 2 °C per second. Its
+shuttle needs about 3 s to move in or out. Its error numbers are invented, because no real ones are published.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ REST = re.compile(rb"^[^*]*|\*[^*!]*!")
 
 
 class SealerOnWire(OnWire):
-    """What the device is and does. ``rejects_twice`` makes it reject as some devices do, with an
-    acceptance after it."""
+    """The state and the behaviour of the device. With ``rejects_twice``, an acceptance follows each of its
+    rejections, as on some real devices."""
 
     drawers = ("default",)
 
@@ -85,10 +85,11 @@ class SealerOnWire(OnWire):
             orders[name]()
             self._send_status()
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- carrying commands out ---------------------------------------------------------------
 
     def _reset(self) -> None:
-        """While it homes, it says that a cycle runs; what it really says is not published."""
+        """Clear the error and home the shuttle. Meanwhile the status is that of a cycle; the status that a
+        real device sends while it homes is not published."""
         self.forget_plans()
         self.error, self.system = 0, protocol.SINGLE_CYCLE
         self._stream()
@@ -109,7 +110,7 @@ class SealerOnWire(OnWire):
 
     def _arrive(self, way: int) -> None:
         if way != self._ways:
-            return  # it was sent elsewhere meanwhile
+            return  # a later command has sent the shuttle elsewhere
         self.shuttle = self._goal
         if self.shuttle == protocol.SHUTTLE_OUT:
             self.open(*self.drawers)
@@ -162,7 +163,7 @@ class SealerOnWire(OnWire):
         self._from_c, self._since_s = self._compute_temperature(), self.now_s()
         self._target_c = degrees
 
-    # -- speaking ----------------------------------------------------------------------------
+    # -- sending -----------------------------------------------------------------------------
 
     def make_status(self) -> Status:
         temperature = self._compute_temperature()
@@ -204,7 +205,7 @@ class SealerOnWire(OnWire):
 
     def _stream(self) -> None:
         self._send_status()
-        # A stream that outruns the line would say nothing new.
+        # At most 20 records per second of real time: more would overload the line without new data.
         self.after(max(STREAM_S, 0.05 * self._pace), self._stream, exact=True)
 
     def _send_status(self) -> None:

@@ -1,8 +1,9 @@
-"""Drives a CANopen drive of the profile CiA 402, by service data objects.
+"""The driver of a CANopen drive with the profile CiA 402, by service data objects.
 
-A drive goes on by itself when the connection is lost. What it shows afterwards is of this attempt if it is
-still powered, in the mode that was asked for, and has the target that was asked for; a drive that was
-switched off meanwhile is not. What starts a motion is an edge of one bit, and it is given once.
+A drive continues its motion by itself if the connection is lost. Afterwards, its state belongs to this
+attempt only if the motor still has power, and mode and target are the requested ones. In homing, the start
+bit must still be set. A drive that was switched off in between keeps no record. A motion starts with an edge
+of one bit, which the driver sends once.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ NEVER_BEGAN = "the drive stands still, and not where it was sent"
 
 
 class Goal(msgspec.Struct, frozen=True):
-    """The part of an attempt that the journal keeps: the target (``counts``) or that it homes, and how long
-    it should take (s)."""
+    """The part of an attempt that the journal keeps: the target (``counts``) or ``homing``, and the time
+    limit for the motion (s)."""
 
     counts: int = 0
     homing: bool = False
@@ -52,7 +53,7 @@ class Goal(msgspec.Struct, frozen=True):
 
 
 class AxisDriver(Wired):
-    """Commands of a drive with this ``table``."""
+    """The driver of an axis with this ``table``."""
 
     deadlines = ("state", "patience")
     where = ("channel", "can0")
@@ -65,7 +66,7 @@ class AxisDriver(Wired):
         self.drive = Drive(setup.name, address, setup.config, self.see_unit, simulated=simulator is not None)
         self.link = self.drive.link
 
-    # -- how it is ---------------------------------------------------------------------------
+    # -- state -------------------------------------------------------------------------------
 
     @during_motion
     def is_idle(self) -> bool:
@@ -92,7 +93,8 @@ class AxisDriver(Wired):
 
     @off_loop
     def prepare_move(self, position: float, speed: float) -> Goal:
-        """Power on, and send the drive target and speed; nothing moves. Raises DeviceError (``none``)."""
+        """Switch the motor's power on, and send target and speed to the drive. Nothing moves. Raises
+        DeviceError with the effects ``none``."""
         with self.report_no_effects():
             self._refuse_unless_fit()
             if not self._is_homed(self.drive.read_status()):
@@ -111,7 +113,8 @@ class AxisDriver(Wired):
 
     @off_loop
     def prepare_home(self) -> Goal:
-        """Power on, and send the drive how to home; nothing moves. Raises DeviceError (``none``)."""
+        """Switch the motor's power on, and send the homing settings to the drive. Nothing moves. Raises
+        DeviceError with the effects ``none``."""
         home, table = self.table.home, self.table
         with self.report_no_effects():
             self._refuse_unless_fit()
@@ -127,7 +130,8 @@ class AxisDriver(Wired):
 
     @off_loop
     def start(self, goal: Goal) -> bool:
-        """Start the motion, with one edge; returns whether the drive has answered. Raises DeviceError."""
+        """Start the motion with one edge of the start bit. Returns whether the drive has answered. Raises
+        DeviceError; NotConnected if nothing was sent."""
         word = profile.ENABLE | profile.START
         if goal.homing:
             self._homed = False
@@ -141,19 +145,20 @@ class AxisDriver(Wired):
 
     @off_loop
     def await_end(self, goal: Goal, *, sure: bool) -> None:
-        """Wait for the end of a motion. ``sure``: the drive has answered the start, and the connection was
-        not lost since. Raises DeviceError, OutcomeUnknown."""
+        """Wait for the end of a motion. ``sure``: the drive has answered the start command, and the
+        connection was not lost since then. Raises DeviceError, OutcomeUnknown."""
         with self.under_way():
             self._await_end(goal, sure)
 
     async def stop(self) -> None:
-        """Send a quick stop; the motor has no power after it until the next motion."""
+        """Send a quick stop. After it, the motor has no power until the next motion."""
         self._halted.set()
         await self._quick_stop()
 
     @off_loop
     def reset(self) -> None:
-        """Bring the drive out of a fault or a quick stop; nothing moves, and the motor has no power."""
+        """Bring the drive out of a fault or a quick stop. Nothing moves, and the motor has no power
+        afterwards. Raises DeviceError if the fault remains."""
         state = state_of(self.drive.read_status())
         self._control(profile.DISABLE_VOLTAGE, anyway=True)
         if state in (State.FAULT, State.REACTING):
@@ -178,7 +183,8 @@ class AxisDriver(Wired):
             raise DeviceError(f"{self.name} moves.", remedy="Wait until it stands still.")
 
     def _refuse_beyond_limits(self, position: float, counts: int) -> None:
-        """Check the drive's own limits; those of the table are the limits of the action's argument."""
+        """Check the target against the drive's own limits. The limits of the table are checked before, as
+        limits of the action's argument. Raises DeviceError."""
         lowest = self.drive.read(profile.LIMITS, 4, profile.LOWEST)
         highest = self.drive.read(profile.LIMITS, 4, profile.HIGHEST)
         if lowest < highest and not lowest <= counts <= highest:
@@ -189,7 +195,7 @@ class AxisDriver(Wired):
             )
 
     def _power_on(self, mode: int) -> None:
-        """Bring the drive step by step into the state in which it moves, in a mode. Raises DeviceError."""
+        """Set the mode, and bring the drive step by step into the state ENABLED. Raises DeviceError."""
         self.drive.write(profile.MODE, mode, 1)
         until = time.monotonic() + self.limit_s("state", STATE_S)
         asked = None
@@ -205,13 +211,13 @@ class AxisDriver(Wired):
             if word != asked:
                 asked = word
                 self._control(word)
-        self._control(profile.ENABLE)  # without the bit that starts
+        self._control(profile.ENABLE)  # without the start bit
         while self.drive.read(profile.MODE_NOW, 1) != mode:
             if time.monotonic() > until:
                 raise DeviceError(f"{self.name}: the drive does not take the mode {mode}.")
             time.sleep(POLL_S)
 
-    # -- its end -----------------------------------------------------------------------------
+    # -- end of a motion ---------------------------------------------------------------------
 
     def _await_end(self, goal: Goal, sure: bool) -> None:
         began = silent_since = time.monotonic()
@@ -240,8 +246,8 @@ class AxisDriver(Wired):
             time.sleep(POLL_S)
 
     def _recognise_attempt(self, goal: Goal, status: int) -> None:
-        """Check, after the connection was lost, that the drive is still at this attempt. Raises
-        OutcomeUnknown."""
+        """Check that the state of the drive belongs to this attempt, if this is not sure (``_await_end``).
+        Raises OutcomeUnknown if it does not, DeviceError after a fault or a stop."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
             raise self.drive.read_fault()
@@ -257,7 +263,7 @@ class AxisDriver(Wired):
             raise OutcomeUnknown(NOT_THIS)
 
     def _is_at_end(self, goal: Goal, status: int, progress: _Progress) -> bool:
-        """Whether the motion is over and well. Raises DeviceError, OutcomeUnknown."""
+        """Whether the motion has ended with success. Raises DeviceError if it failed, OutcomeUnknown."""
         state = state_of(status)
         if state in (State.FAULT, State.REACTING):
             raise self.drive.read_fault()
@@ -274,7 +280,7 @@ class AxisDriver(Wired):
             raise DeviceError(
                 f"{self.name} has not found its home.", remedy="Check its switches, then reset the module."
             )
-        # For a moment the drive may still show the end of an earlier homing.
+        # For a short time, the drive may still show the end of an earlier homing.
         progress.began = progress.began or not status & profile.ATTAINED or progress.age_s > BEGIN_S
         if not (progress.began and status & profile.ATTAINED and status & profile.REACHED):
             return False
@@ -284,8 +290,8 @@ class AxisDriver(Wired):
         return True
 
     def _refuse_mirrored_home(self) -> None:
-        """Drives do not agree on the sign of the home offset. Raises DeviceError if this one takes it the
-        other way."""
+        """Check the sign with which the drive uses the home offset, because drives differ in it. Raises
+        DeviceError if it is the opposite sign."""
         home = self.table.counts(self.table.home.position)
         window = abs(self.table.window * self.table.counts_per_unit)
         now = self.drive.read(profile.POSITION_NOW, 4)
@@ -302,7 +308,7 @@ class AxisDriver(Wired):
                 self._control(profile.ENABLE)
                 progress.taken = True
             elif progress.was_lost and not self.drive.read(profile.CONTROL, 2) & profile.START:
-                progress.taken = True  # or it never heard of it: then it stands elsewhere
+                progress.taken = True  # or the start was lost: then it stands still elsewhere
             elif progress.age_s > self.limit_s("state", STATE_S):
                 raise DeviceError(
                     f"{self.name}: the drive does not take the target.", remedy="Reset the module."
@@ -322,7 +328,7 @@ class AxisDriver(Wired):
             )
         return False
 
-    # -- what it says ------------------------------------------------------------------------
+    # -- readings and commands ---------------------------------------------------------------
 
     def _is_moving(self) -> bool:
         status = self.drive.read_status()
@@ -333,7 +339,7 @@ class AxisDriver(Wired):
             return False
         if status & profile.REACHED and self._is_reached_at_rest(state):
             return False
-        # Not every drive says that it has reached what it was never sent to.
+        # Before its first target, a drive may not report that the target is reached.
         before = self.drive.read(profile.POSITION_NOW, 4)
         time.sleep(POLL_S)
         way = abs(self.drive.read(profile.POSITION_NOW, 4) - before)
@@ -348,12 +354,12 @@ class AxisDriver(Wired):
             return True
         if self.table.homed_bit is not None:
             return bool(status >> self.table.homed_bit & 1)
-        # It was left with its motor powered: if it still is, it was not switched off since.
+        # After homing the motor keeps its power. If it has power now, the drive was not switched off since.
         return self._homed and state_of(status) is State.ENABLED
 
     def _read_position(self) -> float:
-        """The position, in the axis' unit: the target if the axis stands there, as no encoder is quite
-        still."""
+        """The position, in the axis' unit. If the axis stands at its target, this is the target itself,
+        because the counts of an encoder always vary a little."""
         now = self.drive.read(profile.POSITION_NOW, 4)
         if self.drive.read(profile.MODE_NOW, 1) == profile.PROFILE_POSITION:
             target = self.drive.read(profile.TARGET, 4)
@@ -373,7 +379,8 @@ class AxisDriver(Wired):
             )
 
     def _control(self, word: int, *, anyway: bool = False) -> None:
-        """Write the controlword, unless the drive was stopped: any other word might end a quick stop."""
+        """Write the controlword. Raises DeviceError if the driver was stopped, because another word might end
+        the quick stop. With ``anyway``, the word is written even then."""
         with self._commands:
             if not anyway:
                 self.check_not_stopped()
@@ -386,7 +393,9 @@ class AxisDriver(Wired):
 
 
 class _Progress:
-    """What has been seen of a motion so far."""
+    """The observations during a motion. ``taken``: the drive has taken the target. ``began``: the drive
+    shows this homing, not an earlier one. ``was_lost``: ``sure`` was false at some time. ``stands``: how
+    often in a row the drive stood still away from its target."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""What an axis offers."""
+"""The node of an axis: its actions and its description."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Axis(ReportsTrouble):
 
     @classmethod
     def for_table(cls, table: AxisTable) -> type[Axis]:
-        """The class for an axis with this table."""
+        """The node class for an axis with this table."""
         return type(cls.__name__, (cls,), {"own": table, "__doc__": cls.__doc__})
 
     @classmethod
@@ -98,7 +98,8 @@ class Axis(ReportsTrouble):
             await device.await_end(goal, sure=sure)
 
     async def take_up(self, name: str, handle: str) -> Any:
-        """What the drive shows of an attempt that was under way when the node died; nothing is started."""
+        """Wait for the end of an attempt that was in progress when the node died. Nothing is started. Raises
+        DeviceError, OutcomeUnknown."""
         device = self.device
         if name not in ("home", "move_to") or isinstance(device, AxisSimulator):
             raise OutcomeUnknown(INTERRUPTED)
@@ -109,7 +110,7 @@ class Axis(ReportsTrouble):
 
 
 def adapt_description(about: Description, table: AxisTable) -> Description:
-    """The description of an axis with this gear and these ends."""
+    """The description of an axis with the unit, the limits, the speeds and the home of a table."""
     limits: dict[str, dict[str, Any]] = {
         "position": {"unit": table.unit, "minimum": table.minimum, "maximum": table.maximum},
         "speed": {"unit": f"{table.unit}/s", "maximum": table.top_speed, "default": table.speed},
@@ -133,7 +134,7 @@ def adapt_description(about: Description, table: AxisTable) -> Description:
 
 
 def describe(table: AxisTable) -> Description:
-    """As a driver's description."""
+    """The description of the node for an axis with this table."""
     return Axis.for_table(table).describe()
 
 

@@ -1,4 +1,4 @@
-"""The objects of one drive, read and written by service data objects."""
+"""The objects of one drive, which are read and written by service data objects (SDO)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ WHO = "a drive of the profile CiA 402"
 
 
 class Drive:
-    """``emergency`` is the code of the last emergency message."""
+    """A drive on the bus. ``emergency`` is the error code of its last emergency message; 0 if none came."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Drive:
         return status
 
     def read(self, index: int, size: int, subindex: int = 0) -> int:
-        """A signed number of so many bytes. Raises LinkError, DeviceError."""
+        """The value of an object: a signed number of ``size`` bytes. Raises LinkError, DeviceError."""
         data = self.link.upload(index, subindex, timeout_s=ANSWER_S)
         if len(data) != size:
             raise DeviceError(
@@ -58,13 +58,13 @@ class Drive:
         return int.from_bytes(data, "little", signed=True)
 
     def write(self, index: int, value: int, size: int, subindex: int = 0) -> None:
-        """A number of so many bytes. Raises LinkError, DeviceError."""
+        """Write a number of ``size`` bytes to an object. Raises LinkError, DeviceError."""
         data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
         self.link.download(index, subindex, data, timeout_s=ANSWER_S)
 
     def read_fault(self) -> DeviceError:
-        """The fault that the drive reports, by its object, else by its last emergency message. Raises
-        LinkError."""
+        """The fault that the drive reports: the error code in object 603F, else that of the last emergency
+        message. Raises LinkError, DeviceError."""
         code = self.read(profile.ERROR_CODE, 2) & 0xFFFF or self.emergency
         why, remedy = meaning_of(code)
         return DeviceError(f"{self.name}: {why} (error {code:04X}).", remedy=remedy)
@@ -74,13 +74,13 @@ class Drive:
 
 
 def _bus_settings(config: Mapping[str, Any], channel: str, *, simulated: bool) -> dict[str, Any]:
-    """Settings of python-can."""
+    """The settings of python-can for the bus."""
     interface = "slcan" if simulated else str(config.get("interface", "socketcan"))
     settings: dict[str, Any] = {"interface": interface, "channel": channel}
     if "bitrate" in config:
         settings["bitrate"] = int(config["bitrate"])
     if interface == "slcan":
-        settings["timeout"] = 0.05  # python-can's own asks the port a thousand times a second
+        settings["timeout"] = 0.05  # python-can's default reads the port 1000 times a second
     if simulated:
         settings["sleep_after_open"] = 0
     return settings | dict(config.get("bus") or {})
@@ -95,7 +95,7 @@ def _recognise(link: SdoLink, see_unit: Callable[[str], None]) -> str:
 
 
 def _read_serial(link: SdoLink) -> str:
-    """The serial number of CiA 301's identity object, which a drive need not have."""
+    """The serial number from CiA 301's identity object; empty if the drive has none. Raises LinkError."""
     try:
         number = int.from_bytes(link.upload(profile.IDENTITY, 4, timeout_s=ANSWER_S), "little")
     except LinkError:

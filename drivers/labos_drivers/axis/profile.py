@@ -1,7 +1,7 @@
-"""The drive profile CiA 402 (IEC 61800-7-201): objects, states, modes and codes of errors.
+"""The drive profile CiA 402 (IEC 61800-7-201): objects, states, modes and error codes.
 
-Sources: the object dictionaries and error tables that makers of such drives publish, as maxon for the
-EPOS4; the profile's state machine as in the Python package canopen 2.4, ``canopen.profiles.p402``.
+Sources: the object dictionaries and error tables that makers of such drives publish, for example maxon for
+the EPOS4. The state machine is that of the Python package canopen 2.4, ``canopen.profiles.p402``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ attained (homing); following error, or homing error."""
 
 
 class State(Enum):
-    """The states of the drive, by mask and bits of the statusword."""
+    """The states of the drive. Each has a mask for the statusword, and the bits under the mask."""
 
     NOT_READY = (0x4F, 0x00)
     DISABLED = (0x4F, 0x40)
@@ -54,7 +54,7 @@ class State(Enum):
 
 
 def state_of(status: int) -> State:
-    """The state in a statusword. Raises ValueError if it has none."""
+    """The state in a statusword. Raises ValueError if it contains no state."""
     for state in State:
         mask, bits = state.value
         if status & mask == bits:

@@ -1,4 +1,4 @@
-"""A simulated axis."""
+"""A simulated axis on the bench."""
 
 from __future__ import annotations
 

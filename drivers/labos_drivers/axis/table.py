@@ -1,4 +1,4 @@
-"""What is written of an axis: its gear, its ends, how it homes; and what its module offers by that."""
+"""The table of an axis in the workcell file: gear, ends, speeds, homing. Checks of its numbers."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ KEY = "axis"
 
 
 class Homing(Part):
-    """``method`` is that of the profile (0x6098): 17 the lower limit switch, 18 the upper one, 33 and 34 the
-    index pulse, 35 and 37 here; others as the drive's manual says. ``position`` is where its home is, in the
-    axis' unit; the speeds are in that unit per second. By the profile the home offset (0x607C) is the way
-    from the home to zero; there are drives that take it for the position of the home
-    (``offset_is_position``)."""
+    """How the axis homes. ``method`` is the number in the profile (0x6098): 17 the lower limit switch, 18 the
+    upper one, 33 and 34 the index pulse, 35 and 37 the present position. The drive's manual describes others.
+    ``position`` is that of the home, in the axis' unit; the speeds are in this unit per second. In the
+    profile, the home offset (0x607C) is the distance from the home to zero. Some drives use it as the
+    position of the home (``offset_is_position``)."""
 
     method: int = Field(default=17, ge=-128, le=127)
     position: float = 0.0
@@ -28,13 +28,15 @@ class Homing(Part):
 
 
 class AxisTable(Part):
-    """All of it. ``counts_per_turn`` are those of the encoder (with its four edges), ``gear`` the turns of
-    the motor for one of the output, ``travel_per_turn`` what the axis goes for that, in ``unit``. Speeds and
-    accelerations are in ``unit`` per second (squared); a drive that wants its own gets them multiplied by
-    ``speed_scale`` and ``acceleration_scale`` (if left out: the counts in a unit).
+    """The whole table. ``counts_per_turn`` are the counts of the encoder for one turn (with its four edges).
+    ``gear`` is the number of motor turns for one turn of the output, ``travel_per_turn`` the travel of the
+    axis for the same turn, in ``unit``. Speeds and accelerations are in ``unit`` per second (squared). The
+    drive gets them multiplied by ``speed_scale`` and ``acceleration_scale`` (if left out: the counts in a
+    unit).
 
-    ``homed_bit`` is the bit of the statusword by which this drive says that its position is known, if it
-    has one; ``absolute`` that it always is. ``window`` is how near to its target it has arrived."""
+    ``homed_bit`` is the bit of the statusword by which this drive reports that its position is known; None if
+    it has no such bit. ``absolute``: the position is always known. ``window`` is the distance from the target
+    within which the axis has arrived."""
 
     description: str = "An axis."
     unit: Literal["mm", "deg"] = "mm"
@@ -67,7 +69,7 @@ class AxisTable(Part):
         return round(position * self.counts_per_unit)
 
     def position(self, counts: float) -> float:
-        """A position, to a thousandth of the unit."""
+        """The position at these counts, rounded to a thousandth of the unit."""
         return round(counts / self.counts_per_unit, 3) + 0.0
 
     def raw_speed(self, speed: float) -> int:
@@ -93,7 +95,7 @@ STAGE = AxisTable(
 
 
 def find_flaws(table: AxisTable) -> Iterator[Flaw]:
-    """Numbers in a table that contradict each other."""
+    """Numbers in a table that contradict each other, and positions with more counts than 32 bits hold."""
     if table.minimum >= table.maximum:
         yield Flaw(("maximum",), "The axis ends before it begins.", "Write a `maximum` above `minimum`.")
     elif not table.minimum <= table.home.position <= table.maximum:

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the drive."""
+"""The declaration of the axis for the torture suite."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ START, GOAL = 100.0, 300.0
 
 
 def put_at_start(drive: DriveOnSlcan, world: World) -> None:
-    """Somebody turns the spindle by hand."""
+    """A person turns the spindle by hand until the axis is at ``START``."""
     drive.stands = drive.table.counts(START) + (drive._origin if drive.homed else 0.0)
 
 

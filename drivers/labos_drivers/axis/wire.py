@@ -1,7 +1,7 @@
-"""A simulated CiA 402 drive on a CAN bus that is reached through an adapter on a serial port (slcan).
+"""A simulated CiA 402 drive on a CAN bus, behind an adapter on a serial port (slcan).
 
-The node on the bus is canopen's own: its SDO server, its object dictionary, its emergency messages. The
-drive behind it is here: states, modes, motions that take their time, a spindle with an end to home on.
+The node on the bus is that of the package canopen: SDO server, object dictionary, emergency messages. The
+drive itself is simulated here: states, modes, motions in lab time, a spindle with a lower end for homing.
 """
 
 from __future__ import annotations
@@ -51,8 +51,9 @@ OBJECTS: tuple[tuple[int, str, int, bool, str, int], ...] = (
 
 
 class DriveOnSlcan(OnLine):
-    """What the drive is and does. ``blocked`` and ``hot`` are what happens to it, ``no_switch`` that it finds
-    no home; ``stands`` is where its carriage really is, in counts from the lower end."""
+    """The simulated drive. ``blocked``: an obstacle blocks the axis. ``hot``: the drive is too hot.
+    ``no_switch``: homing does not find the switch. ``stands`` is the real position of the carriage when it
+    does not move, in counts; the lower end is at the table's ``minimum``."""
 
     table: ClassVar[AxisTable] = STAGE
     line_end = b"\r"
@@ -65,7 +66,7 @@ class DriveOnSlcan(OnLine):
         self.stands = float(self.table.counts(self.table.minimum + 40))
         self.homed = self.table.absolute
         self.error = 0
-        self._origin = 0.0 if self.homed else self.stands  # what it counts from until it is homed
+        self._origin = 0.0 if self.homed else self.stands  # the zero of its counts until it is homed
         self._mode = self._control = 0
         self._acknowledged = self._attained = self._failed = False
         self._reached = True
@@ -75,7 +76,7 @@ class DriveOnSlcan(OnLine):
         self._network: Any = None
 
     def power_on(self) -> None:
-        """Adapter and drive are switched on; the drive sends its boot-up message."""
+        """Switch adapter and drive on. The drive sends its boot-up message."""
         self._network, self._node = self._join_bus()
         self._network.send_message(0x700 + NODE, b"\0")
 
@@ -89,7 +90,7 @@ class DriveOnSlcan(OnLine):
         device = self
 
         class Network(canopen.Network):
-            """canopen's network, with this adapter in the place of one of python-can."""
+            """canopen's network, with this adapter instead of an interface of python-can."""
 
             def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
                 device.send(b"t%03X%d%s\r" % (can_id, len(data), bytes(data).hex().upper().encode()))
@@ -104,8 +105,8 @@ class DriveOnSlcan(OnLine):
         return network, node
 
     def obey(self, line: str) -> None:
-        """A line of slcan: ``t`` with identifier, length and bytes is a message; the others set the adapter
-        up."""
+        """React to a line of slcan. ``t`` with identifier, length and bytes is a message. Other lines set up
+        the adapter and are only confirmed."""
         if line.startswith("t") and self._network is not None:
             body = bytearray.fromhex(line[5 : 5 + 2 * int(line[4])])
             self._network.notify(int(line[1:4], 16), body, time.monotonic())
@@ -113,7 +114,7 @@ class DriveOnSlcan(OnLine):
             self.send(b"\r")
 
     def _on_read(self, index: int, subindex: int, od: Any) -> int | None:
-        """The present value of an object; None if the dictionary has it."""
+        """The present value of an object; None if its value is the one in the dictionary."""
         match index:
             case profile.STATUS:
                 return self.compose_status()
@@ -154,7 +155,7 @@ class DriveOnSlcan(OnLine):
     # -- states ------------------------------------------------------------------------------
 
     def compose_status(self) -> int:
-        """The statusword."""
+        """The present statusword."""
         word = self.state.value[1] | REMOTE
         if self.state not in (State.DISABLED, State.NOT_READY, State.FAULT):
             word |= VOLTAGE
@@ -209,7 +210,7 @@ class DriveOnSlcan(OnLine):
             self.state = State.ENABLED
 
     def fail(self, code: int) -> None:
-        """The drive stops and reports a fault."""
+        """Stop the drive, and report a fault with this error code."""
         self._halt()
         self.state, self.error = State.FAULT, code
         if self._node is not None:
@@ -251,7 +252,7 @@ class DriveOnSlcan(OnLine):
             if self.no_switch:
                 self._failed = self._reached = True
                 return
-            # Zero lies where the home offset leads from the home.
+            # In the profile, the home offset is the distance from the home to zero.
             self._origin = goal + self._read_object(profile.HOME_OFFSET)
             self.homed = self._attained = True
         where = self.table.position(self.stands - self._origin)

@@ -1,4 +1,4 @@
-"""Drives Barty's pumps through the pigpio daemon of its Raspberry Pi."""
+"""The driver of Barty's pumps, through the pigpio daemon of its Raspberry Pi."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WHO = "a pigpio daemon"
 
 
 class Dose(msgspec.Struct, frozen=True):
-    """A dose in the daemon: the number of its script, and the mark that the script bears."""
+    """A dose in the daemon: the number of its script, and the mark in the script's parameters."""
 
     script: int
     owner: int
@@ -44,8 +44,8 @@ class Dose(msgspec.Struct, frozen=True):
 
 
 class BartyDriver(Wired):
-    """A dose is checked, stored, journalled, started, and watched until the daemon reports its end. There is
-    no flow sensor: that a motor turned for so long is all that is known."""
+    """A dose is checked, stored, journalled and started. Then the driver polls it until the daemon reports
+    its end. There is no flow sensor: only the time for which a motor was enabled is known."""
 
     deadlines = ("answer", "lost")
     where = ("host", "192.168.0.50")
@@ -73,7 +73,7 @@ class BartyDriver(Wired):
         await self._pump(pumps, amount_ml, fill=False)
 
     async def _pump(self, pumps: list[int], amount_ml: float, *, fill: bool) -> None:
-        """Pumps with the same rate run at the same time, those with another rate after them."""
+        """Run the pumps: those with the same rate at the same time, the groups one after the other."""
         rates = sorted({self._ml_per_s[pump] for pump in pumps})
         if (longest_s := amount_ml / rates[0]) > LONGEST_S:
             raise self.make_refusal(
@@ -92,7 +92,7 @@ class BartyDriver(Wired):
 
     @off_loop
     def store(self, pumps: list[int], seconds: float, *, fill: bool) -> Dose:
-        """Store the script of a dose; nothing turns, as a stored script does not run."""
+        """Store the script of a dose. No motor turns: a stored script does not run before its start."""
         self.check_not_stopped()
         owner = secrets.randbelow(2**31 - 1) + 1
         script = protocol.write_script(pumps, max(round(seconds * 1000), 1), owner, fill=fill)
@@ -121,7 +121,7 @@ class BartyDriver(Wired):
             except LinkError as error:
                 if error.effects == "none":
                     raise
-                # Whether it was heard is told by the script itself.
+                # The script itself shows whether the daemon has received the start.
                 self._await_end(dose)
                 return
             if result < 0:
@@ -130,8 +130,8 @@ class BartyDriver(Wired):
 
     @off_loop
     def follow(self, handle: str) -> None:
-        """Wait for the end of a dose that was stored before, and perhaps started; if it was not, it never
-        will be."""
+        """Wait for the end of a dose that was stored before, and perhaps started. If it was not started, its
+        script is deleted, so that it cannot start later."""
         with self.motion():
             self._dose = dose = Dose.read(handle)
             self._await_end(dose)
@@ -154,7 +154,7 @@ class BartyDriver(Wired):
                 remedy="Look whether a pump runs and how full the reservoirs are, then reset the module.",
             )
         if not parameters[protocol.BEGUN]:
-            # A script that is deleted cannot be started any more.
+            # A deleted script cannot be started later.
             with suppress(LinkError):
                 self._delete_last()
             raise self.make_refusal("the pumps were not started")
@@ -166,14 +166,14 @@ class BartyDriver(Wired):
             )
 
     def _delete_last(self) -> None:
-        """Delete the script of the last dose. It is kept until the next dose, so that its end can be seen
-        after a restart."""
+        """Delete the script of the last dose. It is kept until the next dose, so that its end can be read
+        after a restart of the node."""
         last, self._dose = self._dose, None
         if last is not None:
             self._ask(protocol.PROCD, last.script)
 
     def _delete_ended(self) -> None:
-        """Delete scripts that earlier nodes have left."""
+        """Delete the ended scripts that earlier nodes have left."""
         for script in range(protocol.ROOM):
             result, more = self._ask(protocol.PROCP, script)
             if result != protocol.STATUS.size:
@@ -186,7 +186,7 @@ class BartyDriver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """Stop all motors at once."""
+        """Stop all motors immediately."""
         self._halted.set()
         self._stop_all()
 
@@ -201,7 +201,7 @@ class BartyDriver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """Nothing: Barty has no sensor of level or flow."""
+        """Nothing is reported: Barty has no sensor of level or flow. Raises LinkError."""
         self._is_at_rest()
         return {}
 
@@ -216,10 +216,10 @@ class BartyDriver(Wired):
             if (result := self._ask(protocol.WRITE, pins.enable, 0)[0]) < 0:
                 raise DeviceError(f"{self.name}: pin {pins.enable} cannot be set (error {result}).")
 
-    # -- one question ------------------------------------------------------------------------
+    # -- one command -------------------------------------------------------------------------
 
     def _poll_script(self, dose: Dose) -> tuple[int, tuple[int, ...]]:
-        """Status and parameters of a script; a daemon that cannot be reached for a while is asked again."""
+        """Status and parameters of a script. After a lost link, the daemon is asked again for ``lost`` s."""
         result, more = self.ask_again(
             lambda: self._ask(protocol.PROCP, dose.script), self.limit_s("lost", LOST_S), POLL_S
         )
@@ -237,7 +237,7 @@ class BartyDriver(Wired):
         )
 
     def _ask(self, command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> tuple[int, bytes]:
-        """Send a command; returns the result, and the data after it."""
+        """Send a command. Returns the result and the data of the reply."""
         question = protocol.make_command(command, p1, p2, more)
         answer = self.link.exchange(question, self.limit_s("answer", ANSWER_S))
         header = protocol.HEADER.unpack_from(answer)
@@ -252,9 +252,9 @@ class BartyDriver(Wired):
 
 
 def check_dose(name: str, pumps: list[int], amount_ml: float) -> None:
-    """Raise DeviceError for a dose that the pumps cannot give."""
+    """Raise DeviceError for a dose that the pumps cannot deliver."""
     why = ""
-    # 1.0 and True are 1 to Python, but name no pump.
+    # In Python, 1.0 and True equal 1, but they are not the number of a pump.
     if unknown := [pump for pump in pumps if type(pump) is not int or pump not in range(len(PINS))]:
         why = f"has no pump {unknown[0]}"
     elif not pumps:
@@ -268,7 +268,7 @@ def check_dose(name: str, pumps: list[int], amount_ml: float) -> None:
 
 
 def read_rates(setup: Setup) -> tuple[float, ...]:
-    """mL/s of each pump, from ``ml_per_s:``: one number, or one for each. Raises DeviceError."""
+    """The rate of each pump (mL/s), from ``ml_per_s:``: one number, or four. Raises DeviceError."""
     configured = setup.config.get("ml_per_s", protocol.ML_PER_S)
     rates = list(configured) if isinstance(configured, list | tuple) else [configured] * len(PINS)
     if len(rates) != len(PINS) or not all(isinstance(rate, int | float) and rate > 0 for rate in rates):

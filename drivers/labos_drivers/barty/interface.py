@@ -1,4 +1,4 @@
-"""What Barty offers."""
+"""The actions of Barty."""
 
 from __future__ import annotations
 

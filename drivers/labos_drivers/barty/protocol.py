@@ -1,12 +1,12 @@
-"""Barty's pumps on their wire: the pins of a Raspberry Pi, by the socket of its pigpio daemon (TCP 8888).
+"""The protocol of Barty's pumps. The pigpio daemon of a Raspberry Pi sets its pins, over a socket (TCP 8888).
 
-A question is four little-endian words (command, p1, p2, length of what follows) and what follows; an
-answer repeats the first three, with the result (negative: an error) as the fourth. ``PROCP`` alone is
-answered with as many further bytes as its result says: a status and ten parameters.
+A command has four little-endian words (command, p1, p2, length of the data) and then the data. A reply
+repeats the first three words. Its fourth word is the result (negative: an error). Only the reply to ``PROCP``
+has data: a status and ten parameters. Its result is their length in bytes.
 
-A dose is a script that the daemon keeps and runs by itself, so that a pump stops on time even if the client
-that started it has died. A script marks in its parameters that it has begun, whose it is, and that it has
-ended.
+A dose is a script that the daemon stores and runs by itself. So a pump stops on time even if the client that
+started it has failed. A script shows in its parameters that it has begun, the mark of its dose, and that it
+has ended.
 
 Sources: joan2937/pigpio, pigpio.py, command.c, pigpio.h (commands, scripts, limits); AD-SDL/barty_module,
 src/barty_interface.py (pins, directions, rate).
@@ -38,7 +38,7 @@ ML_PER_S = 1.427
 
 
 class Pins(NamedTuple):
-    """The pins of one motor's bridge, by Broadcom number."""
+    """The pins of the bridge of one motor, by their Broadcom numbers."""
 
     forward: int
     backward: int
@@ -50,7 +50,7 @@ PINS = (Pins(22, 27, 17), Pins(23, 24, 25), Pins(9, 11, 10), Pins(8, 7, 12))
 
 
 class Framing:
-    """Packed words both ways."""
+    """Packed words in both directions. The header of a reply determines its length."""
 
     def pack(self, message: bytes) -> bytes:
         return message
@@ -71,8 +71,8 @@ def make_command(command: int, p1: int = 0, p2: int = 0, more: bytes = b"") -> b
 
 
 def write_script(pumps: list[int], milliseconds: int, owner: int, *, fill: bool) -> str:
-    """The script that runs some pumps at the same time for so long (ms). They start and stop a few
-    instructions of the daemon apart."""
+    """The script that runs some pumps at the same time, for this duration (ms). Their starts and their stops
+    are a few instructions of the daemon apart."""
     commands = [f"ld p9 {owner} ld p1 1"]
     for pump in pumps:
         pins = PINS[pump]

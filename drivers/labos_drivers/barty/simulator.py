@@ -1,4 +1,4 @@
-"""A simulated Barty."""
+"""A simulated Barty on the bench, without a wire."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ RESERVOIR_ML = 150.0
 
 
 class Tanks:
-    """Beakers and reservoirs with a pump between each two, as the motions so far have left them: a dry beaker
-    gives air, a full reservoir overflows."""
+    """Beakers and reservoirs, with one pump between each beaker and its reservoir. Their volumes (mL) follow
+    from all motions so far. An empty beaker gives air. A full reservoir overflows."""
 
     def __init__(self, world: World, device: str) -> None:
         self._world, self._device = world, device
@@ -26,7 +26,7 @@ class Tanks:
                 self._shift(motion.facts["pump"], motion.facts["ml"])
 
     def pump(self, pump: int, ml: float) -> None:
-        """Move so much into a reservoir, or out of it, as far as there is any. Raises Crash."""
+        """Pump a volume into a reservoir (negative: out of it), at most what is there. Raises Crash."""
         moved = max(-self.reservoirs[pump], min(ml, self.beakers[pump]))
         if self.reservoirs[pump] + moved > RESERVOIR_ML:
             self._world.crash(self._device, f"{self._device}.pump{pump}", "spills ink over the deck")
@@ -39,7 +39,7 @@ class Tanks:
 
 
 class BartySimulator(Simulated):
-    """Pumps that run for a time."""
+    """Pumps that run for a time in proportion to the volume."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -60,5 +60,5 @@ class BartySimulator(Simulated):
                 self.tanks.pump(pump, amount_ml)
 
     def observe(self) -> dict[str, Any]:
-        """Nothing: Barty has no sensor of level or flow."""
+        """Nothing is reported: Barty has no sensor of level or flow."""
         return {}

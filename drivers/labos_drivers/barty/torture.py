@@ -1,4 +1,4 @@
-"""What the torture suite has to know of Barty."""
+"""The declaration of Barty for the torture suite."""
 
 from __future__ import annotations
 

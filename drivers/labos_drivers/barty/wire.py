@@ -1,5 +1,5 @@
-"""A simulated Barty: a Raspberry Pi with a pigpio daemon, four bridges, and pumps that run while they are
-enabled."""
+"""A simulated Barty at the far end of a TCP connection: a Raspberry Pi with a pigpio daemon, four bridges,
+and pumps that run while they are enabled."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RATE_NOISE = 0.02
 
 
 class Daemon(TcpEnd):
-    """A port that serves several clients; each is answered before the next one is heard."""
+    """A port for several clients. Each gets its reply before the data of the next one are read."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class Daemon(TcpEnd):
 
 
 class Script(msgspec.Struct):
-    """The words of a script, and its position in them."""
+    """The words of a script, the position in them, and the script's own time (``clock_s``)."""
 
     words: list[str]
     at: int = 0
@@ -63,7 +63,7 @@ class Script(msgspec.Struct):
 
 
 class BartyOnWire(OnWire):
-    """The simulated device. A pump may be ``stuck``: its motor hums and moves nothing."""
+    """The simulated device. A pump that is ``stuck`` moves no ink while its motor is enabled."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None) -> None:
         super().__init__(setup, end)
@@ -83,7 +83,7 @@ class BartyOnWire(OnWire):
         return self.end.address.removeprefix("socket://")
 
     def close(self) -> None:
-        """Power off: everything that turned stops."""
+        """Switch the power off: all pumps stop."""
         super().close()
         for pump in list(self._since_s):
             self._stop(pump, self.now_s())
@@ -107,7 +107,7 @@ class BartyOnWire(OnWire):
             case protocol.PIGPV:
                 return VERSION, b""
             case code if code in NOTIFIES:
-                return 0, b""  # of changes at pins, which nobody here asks for
+                return 0, b""  # accepted, but changes of pins are not reported
             case protocol.READ:
                 return self.levels[p1], b""
             case protocol.WRITE:
@@ -131,7 +131,7 @@ class BartyOnWire(OnWire):
         return BAD_COMMAND, b""
 
     def press(self, pin: int) -> None:
-        """Somebody bridges a pin by hand."""
+        """A person sets a pin high by hand."""
         self._write(pin, 1)
 
     # -- scripts -----------------------------------------------------------------------------
@@ -153,7 +153,7 @@ class BartyOnWire(OnWire):
         return 0
 
     def _halt(self, script: Script) -> None:
-        """Stop a script; pins stay as they are."""
+        """Stop a script. The pins keep their levels."""
         script.status = protocol.HALTED
         script.run += 1
 
@@ -183,7 +183,7 @@ class BartyOnWire(OnWire):
     # -- pumps -------------------------------------------------------------------------------
 
     def _write(self, pin: int, level: int, at_s: float | None = None) -> None:
-        """Set a pin. A script keeps its own time, however late this computer is."""
+        """Set a pin. A script gives its own time ``at_s``, independent of delays of this computer."""
         was, self.levels[pin] = self.levels[pin], level
         for pump, pins in enumerate(PINS):
             if pins.enable == pin and was != level:
@@ -202,8 +202,8 @@ class BartyOnWire(OnWire):
         wanted = 0.0 if pump in self.stuck else way * rate * ran_s
         if not self._since_s:
             self.world.leave(self.name)
-        if way:  # a bridge that is switched on without a direction turns nothing
+        if way:  # an enabled bridge without a direction turns no motor
             self.tanks.pump(pump, wanted)
 
     def damage(self, crash: Exception) -> None:
-        """Ink runs over the deck; the device does not notice."""
+        """Ink runs over the deck. The device does not detect it."""

@@ -1,4 +1,4 @@
-"""Drives a TRobot through a gateway to its maker's library."""
+"""The driver of a TRobot, which it controls through a gateway to the library of its maker."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ refuses."""
 
 
 class BiometraDriver(GatedDriver):
-    """``open_lid``, ``close_lid`` and ``run_program`` end when the lid, or the program, has come to rest."""
+    """``open_lid`` and ``close_lid`` end when the lid stands still, ``run_program`` ends with the program."""
 
     instrument = "biometra"
 

@@ -1,4 +1,4 @@
-"""What the TRobot offers."""
+"""The node of the TRobot: its station, its lid and its actions."""
 
 from __future__ import annotations
 

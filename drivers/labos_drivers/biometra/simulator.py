@@ -6,7 +6,7 @@ from labos_drivers._simulation import Gated
 
 
 class BiometraSimulator(Gated):
-    """A block under a lid."""
+    """A thermal block under a motorised lid."""
 
     async def run_program(self, number: int) -> None:
         block = self.place("default")

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the TRobot."""
+"""The case, faults and settings of the TRobot for the torture suite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drives a real XPeel over its serial port."""
+"""The driver of a real XPeel over its serial port."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ VERSION = re.compile(rb"\*\d+[.\d]*")
 
 
 class PeelerDriver(Wired):
-    """Commands of the device. ``*ack`` is not the end of a motion, and a ``*ready`` before it belongs to an
-    earlier one."""
+    """The commands of the device. ``*ack`` is not the end of a motion. A ``*ready`` before ``*ack`` belongs
+    to an earlier motion."""
 
     deadlines = ("ack", "answer", "homing", "motion", "silent")
     link: Link
@@ -52,7 +52,7 @@ class PeelerDriver(Wired):
 
     @off_loop
     def find_seal(self) -> None:
-        """Check that the plate has a seal: what a peel does without one is not published. Raises
+        """Check that the plate has a seal. No public source describes a peel without one. Raises
         DeviceError."""
         if self._look_for_seal() != "sealed":
             raise self.make_refusal(
@@ -61,20 +61,20 @@ class PeelerDriver(Wired):
 
     @staticmethod
     def make_peel_command(parameter_set: int, adhere_s: float) -> str:
-        """The command that peels."""
+        """The command for a peel."""
         return f"*xpeel:{parameter_set}{protocol.ADHERE_S.index(adhere_s) + 1}"
 
     @off_loop
     def peel(self, command: str) -> None:
-        """Peel, after the seal was found."""
+        """Peel. Call ``find_seal`` before, in the same motion. Raises DeviceError."""
         self.check_not_stopped()
         self._judge(self._move(command.encode()))
 
     @off_loop
     def follow(self, command: str) -> None:
-        """What became of a peel that another node has begun: the device keeps the codes of its last motion. A
-        seal check would tell too, but moves the conveyor, which nobody may expect any more. Raises
-        DeviceError, and OutcomeUnknown if the device has been switched off since."""
+        """Wait for the end of a peel from before a restart of the node, and check the codes that the device
+        keeps of its last motion. A seal check would show the result too, but unexpectedly moves the conveyor.
+        Raises DeviceError, and OutcomeUnknown if the device was switched off since then."""
         with self.motion(), self.under_way():
             codes = self._read_last_codes()
             self._ask_tape_left()
@@ -92,7 +92,7 @@ class PeelerDriver(Wired):
 
     @off_loop
     def sealcheck(self) -> str:
-        """``sealed``, ``unsealed`` or ``no plate``."""
+        """Look for a seal: ``sealed``, ``unsealed`` or ``no plate``."""
         with self.motion():
             try:
                 return self._look_for_seal()
@@ -101,23 +101,23 @@ class PeelerDriver(Wired):
 
     @off_loop
     def is_idle(self) -> bool:
-        """A device that moves or homes does not answer."""
+        """True if the device answers. Raises NoReply during a motion or homing: then it does not answer."""
         self._parse_codes(self._ask(b"*stat", b"*ready:"))
         return True
 
     @off_loop
     def reset(self) -> None:
-        """Get fresh tape, then home the elevator and the conveyor; the nest comes out."""
+        """Bring fresh tape into place, then home the elevator and the conveyor; the nest moves out."""
         self._judge(self._move(b"*reset", self.limit_s("homing", HOMING_S)))
         self.resume()
 
     @off_loop
     def observe(self) -> dict[str, Any]:
-        """Nothing: its plate sensor is read only in a motion."""
+        """Empty, because the plate sensor is read only in a motion."""
         return {}
 
     async def read_tape(self) -> dict[str, float]:
-        """Seals that can still be peeled, as the device counts them in tens; empty if it does not know."""
+        """The number of seals that can be peeled, counted in tens. Empty if the device does not know."""
         if not self.moving:
             await self._ask_tape()
         return self._tape
@@ -138,13 +138,13 @@ class PeelerDriver(Wired):
     # -- one command -------------------------------------------------------------------------
 
     def _ask(self, question: bytes, beginning: bytes) -> bytes:
-        """Ask a question that moves nothing."""
+        """The answer to a question that moves nothing. It starts with ``beginning``."""
         return self.link.exchange(
             question, self.limit_s("answer", ANSWER_S), answers=lambda _, line: line.startswith(beginning)
         )
 
     def _read_last_codes(self) -> tuple[int, ...]:
-        """The codes of the last motion, when it has ended."""
+        """Wait until the last motion has ended; returns its codes."""
         deadline = time.monotonic() + self.limit_s("motion", MOTION_S)
         while True:
             try:
@@ -160,7 +160,7 @@ class PeelerDriver(Wired):
             raise Garbled(f"{self.name}: {error}.") from error
 
     def _move(self, command: bytes, limit_s: float | None = None) -> tuple[int, ...]:
-        """Send a command that moves, and wait for its end; returns its error codes."""
+        """Send a command for a motion, and wait for its end; returns its error codes."""
         deadline = time.monotonic() + (self.limit_s("motion", MOTION_S) if limit_s is None else limit_s)
         self._restarted = False
         self.link.exchange(
@@ -189,8 +189,8 @@ class PeelerDriver(Wired):
         return "sealed" if protocol.SEAL in codes else "unsealed"
 
     def _judge(self, codes: tuple[int, ...]) -> None:
-        """Raise DeviceError for the first code that is no warning; its effects are those of the worst
-        code."""
+        """Raise DeviceError if a code is not a warning, with the remedy of the first such code. The effects
+        are ``unknown`` if those of the codes differ."""
         known = [(code, CODES.get(code, Code("an unknown error"))) for code in codes]
         hard = [(code, what) for code, what in known if not what.warning]
         if not hard:
@@ -203,7 +203,7 @@ class PeelerDriver(Wired):
             remedy=hard[0][1].remedy,
         )
 
-    # -- what the device says by itself ------------------------------------------------------
+    # -- restarts and identity ---------------------------------------------------------------
 
     def _note_restart(self, line: bytes) -> bool:
         if line.startswith((b"*poweron", b"*homing")):
@@ -212,7 +212,7 @@ class PeelerDriver(Wired):
         return False
 
     def _recognise(self, link: Link) -> str:
-        """The device answers with its firmware version once it has homed."""
+        """Recognise the device by its firmware version, which it reports after homing."""
         deadline = time.monotonic() + self.limit_s("homing", HOMING_S)
         while True:
             self._restarted = False
@@ -223,7 +223,7 @@ class PeelerDriver(Wired):
                 if not self._restarted or time.monotonic() > deadline:
                     raise
             except StrayReply as error:
-                # A device that has just homed says so, and has not heard what it was asked before.
+                # The device sends ``*ready`` after homing. It has not received the question from before.
                 if "*ready:" not in error.message or time.monotonic() > deadline:
                     raise
 
@@ -234,4 +234,4 @@ class PeelerDriver(Wired):
 
 
 class NoPlate(DeviceError):
-    """The nest is empty."""
+    """The device found no plate in its nest."""

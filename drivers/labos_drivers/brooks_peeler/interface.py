@@ -1,4 +1,4 @@
-"""What the XPeel offers."""
+"""The node of the XPeel: its stations and actions."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class BrooksPeeler(OnBenchOrWire):
         return await self.device.sealcheck()
 
     async def take_up(self, name: str, handle: str) -> Any:
-        """The record that the device keeps of its last motion; nothing is started."""
+        """Check the result of a peel in the device's record of its last motion. Nothing is started."""
         if name != "peel" or not isinstance(self.device, PeelerDriver):
             return await super().take_up(name, handle)
         return await self.device.follow(handle)

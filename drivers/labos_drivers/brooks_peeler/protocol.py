@@ -1,12 +1,12 @@
-"""The XPeel on its wire: lines, and what its error codes mean.
+"""The protocol of the XPeel: lines, and the meanings of its error codes.
 
-9600 baud, 8 data bits, no parity, 1 stop bit, lines of lower-case ASCII that begin with ``*`` and end
-with carriage return and line feed. A motion is answered with ``*ack`` at once and ``*ready:E1,E2,E3`` at
-its end; the three codes are what went wrong in it, in order of occurrence, and are told again by
-``*stat`` until the next motion.
+9600 baud, 8 data bits, no parity, 1 stop bit. Lines are lower-case ASCII; they begin with ``*`` and end with
+carriage return and line feed. A motion is answered with ``*ack`` at once and with ``*ready:E1,E2,E3`` at its
+end. The three codes are the errors of the motion, in order of occurrence. ``*stat`` reports them again until
+the next motion.
 
 Sources: AD-SDL/brooks_xpeel_module; PyLabRobot/pylabrobot, pylabrobot/azenta/xpeel.py; the XPeel User
-Manual 440140 (pages 45 to 56) as other public drivers quote it.
+Manual 440140 (pages 45 to 56), as other public drivers quote it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ FEW = 30
 
 
 class Code(msgspec.Struct, frozen=True):
-    """One error code. ``effects`` is what is known of the motion; a warning fails nothing."""
+    """One error code. ``effects`` are the known effects of the motion. A ``warning`` is not a failure."""
 
     meaning: str
     remedy: str = ""

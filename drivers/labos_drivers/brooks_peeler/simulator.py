@@ -8,7 +8,7 @@ USUAL_ADHERE_S = 2.5
 
 
 class PeelerSimulator(Simulated):
-    """Has a plate check and a reflective seal sensor at one place of the conveyor."""
+    """Has a plate sensor and a reflective seal sensor at the same position of the conveyor."""
 
     drawers = ("default",)
 

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the XPeel."""
+"""The declaration of the XPeel for the torture suite."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ HERE = "labos_drivers.brooks_peeler.driver"
 
 
 def _make_peeler(setup: Setup) -> PeelerOnWire:
-    """It looks for the seal so quickly that what is interrupted is the peel."""
+    """A peeler with a short seal check, so that an interruption falls into the peel itself."""
     return PeelerOnWire(setup, check_s=1.0)
 
 
@@ -29,7 +29,7 @@ TORTURE = Torture(
         Fault.by_setting("the cover is open", "cover_is_shut", to=False, back=True),
         Fault("out of tape", use_up("tape"), refill("tape", 600)),
     ),
-    # As after power came back, or when somebody uses its front panel.
+    # The device sends these after its power returns, or when a person uses its front panel.
     unasked=(b"*poweron\r\n", b"*homing\r\n", b"*ready:00,00,00\r\n"),
     waits={f"{HERE}:ACK_S": 3.0, f"{HERE}:MOTION_S": 6.0, f"{HERE}:HOMING_S": 6.0},
     foreign=(Foreign("PyLabRobot", "0.2.2, but for its peel", "tests/drivers/test_pylabrobot.py"),),

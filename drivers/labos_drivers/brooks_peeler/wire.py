@@ -1,7 +1,7 @@
 """A simulated XPeel at the far end of a serial line.
 
-What no public source says and is assumed here: an illegal command is answered with ``*ready:05,00,00``
-and no ``*ack``; a device that moves does not answer at all.
+Two assumptions are made here, because no public source describes them. An illegal command is answered with
+``*ready:05,00,00`` and no ``*ack``. A device in motion does not answer at all.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ NONE = (0, 0, 0)
 
 
 class PeelerOnWire(OnLine):
-    """What the device is and does; ``peels`` while it does. ``homes`` lets it home when it is switched on,
-    as the real one does; else it has done so before. It looks for a seal in ``check_s``."""
+    """The simulated device. ``peels`` is true during a peel. With ``homes``, it homes when it is switched on,
+    as the real one does; else it has homed before. A seal check takes ``check_s`` (lab seconds)."""
 
     drawers = ("default",)
 
@@ -87,7 +87,7 @@ class PeelerOnWire(OnLine):
             self.codes = (5, 0, 0)
             self._send_ready()
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def _move(self, lab_s: float, work: Callable[[], tuple[int, ...]]) -> None:
         self._busy = True
@@ -113,7 +113,7 @@ class PeelerOnWire(OnLine):
         self._send_ready()
 
     def stop_button(self) -> None:
-        """Somebody presses the stop button."""
+        """A person presses the stop button."""
         self.after(0, self._stop, exact=True)
 
     def _stop(self) -> None:
@@ -164,7 +164,7 @@ class PeelerOnWire(OnLine):
 
         self.after(10, finish_homing)
 
-    # -- speaking ----------------------------------------------------------------------------
+    # -- sending -----------------------------------------------------------------------------
 
     def _tape_left(self) -> float:
         left = self.world.find_level(self.name, "tape")

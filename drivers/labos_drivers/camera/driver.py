@@ -1,4 +1,4 @@
-"""Takes pictures with a real camera, and says what can be told from them."""
+"""The driver of a real camera: takes pictures, reads labels and detects plates."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EVERYTHING: View = (0.0, 0.0, 1.0, 1.0)
 
 
 class CameraDriver(Wired):
-    """A camera moves nothing: a stop only throws away the picture that is being taken."""
+    """A camera moves nothing. A stop discards the present picture, and all others until a reset."""
 
     where = ("source", "/dev/video0")
     deadlines = ("open", "frame", "answer")
@@ -38,7 +38,7 @@ class CameraDriver(Wired):
 
     @off_loop
     def grab_image(self, file_name: str, folder: str, rotation_deg: float, focus: int | None) -> Attachment:
-        """The picture as a file."""
+        """Take a picture; returns it as a file."""
         vision.format_of(file_name)
         with self.motion():
             picture = vision.rotate(self._take_picture(focus), rotation_deg)
@@ -46,14 +46,14 @@ class CameraDriver(Wired):
 
     @off_loop
     def read_barcode(self) -> str:
-        """The label of the plate in the camera's own nest; empty if none can be read."""
+        """The label of the plate in the camera's own nest; empty if it cannot be read."""
         with self.motion():
             return vision.read_label(vision.part(self._take_picture(), self._views[OWN]))
 
     @off_loop
     def observe(self) -> dict[str, Any]:
-        """Of each place that it sees 0 or 1, or the label if it ``reads`` them; nothing of places of
-        which the picture does not tell it."""
+        """For each place in view 0 or 1, or the label if the camera ``reads`` labels. A place is left out if
+        the picture does not show whether it is occupied."""
         picture = self._take_picture(glance=True)
         seen: dict[str, int | str] = {}
         for place, view in self._views.items():
@@ -77,9 +77,9 @@ class CameraDriver(Wired):
     # -- one picture -------------------------------------------------------------------------
 
     def _take_picture(self, focus: int | None = None, *, glance: bool = False) -> Picture:
-        """Take a picture. Raises DeviceError if it is black, or if the camera is frozen."""
+        """Take a picture. Raises DeviceError if it is black, if the camera is frozen, or after a stop."""
         *before, picture = self._source.take(focus, glance=glance)
-        # The picture has been taken, and has changed nothing.
+        # The effects are complete: the picture was taken, and it changes nothing on the bench.
         self.check_not_stopped(effects="all")
         if vision.is_black(picture):
             raise DeviceError(
@@ -97,8 +97,8 @@ class CameraDriver(Wired):
 
 
 def read_views(setup: Setup) -> dict[str, View]:
-    """The part of the picture that shows each place: from ``views:``, else strips of one width from left to
-    right. Raises DeviceError."""
+    """The part of the picture that shows each place: from ``views:``, else strips of equal width from left to
+    right. Raises DeviceError if a view is missing or is not a part of a picture."""
     places = [OWN, *map(str, setup.config.get("observes") or ())]
     configured = setup.config.get("views")
     if configured is None:

@@ -1,4 +1,4 @@
-"""What the camera offers."""
+"""The node of the camera: its stations and actions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Camera(OnBenchOrWire):
     device: CameraSimulator | CameraDriver
 
     def __init__(self, setup: Setup) -> None:
-        # Video devices are often named by a number.
+        # Video devices are often named by a number, which YAML reads as an integer.
         source: Any = setup.config.get("source")
         if isinstance(source, int) and not isinstance(source, bool):
             setup.config = {**setup.config, "source": str(source)}

@@ -1,14 +1,14 @@
-"""What a lens, a lamp and a sensor make of a scene: perspective, uneven light, blur and noise; and what goes
-wrong with pictures.
+"""Photographs of a simulated scene: perspective, uneven light, blur and noise of a camera, and faults of
+pictures.
 
-Pillow does it, which is always installed: a lab can be simulated without OpenCV.
+The pictures are made with Pillow, which is always installed. So a lab can be simulated without OpenCV.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
+from random import Random  # noqa: TID251 (the caller gives the seed)
 from typing import Any, TypeAlias
 
 Photograph: TypeAlias = Any
@@ -35,14 +35,15 @@ TOO_MUCH = 1.7
 
 
 def image_library() -> tuple[Any, Any]:
-    """Pillow: images, and what draws on them."""
+    """The modules of Pillow for images and for drawing on them."""
     from PIL import Image, ImageDraw
 
     return Image, ImageDraw
 
 
 def take_photo(scene: Photograph, draw: Random, trouble: str = "") -> Photograph:
-    """The picture that a camera takes of a scene; ``draw`` is its chance, ``trouble`` one of ``TROUBLES``."""
+    """The picture that a camera takes of a scene. ``draw`` gives the random numbers. ``trouble`` is one of
+    ``TROUBLES``, or empty."""
     from PIL import ImageChops, ImageFilter
 
     images, drawing = image_library()
@@ -63,7 +64,7 @@ def take_photo(scene: Photograph, draw: Random, trouble: str = "") -> Photograph
 
 
 def project(point: Point, size: tuple[int, int]) -> Point:
-    """Where a point of the scene is in the picture."""
+    """The position of a point of the scene in the picture. Both are in pixels."""
     a, b, c, d, e, f, g, h = _mapping(_corners(size), _targets(size))
     x, y = point
     w = g * x + h * y + 1
@@ -80,12 +81,12 @@ def _targets(size: tuple[int, int]) -> list[Point]:
 
 
 def _back(size: tuple[int, int]) -> list[float]:
-    """From the picture to the scene, as Pillow wants it."""
+    """The perspective from the picture to the scene: Pillow needs this direction."""
     return _mapping(_targets(size), _corners(size))
 
 
 def _mapping(sources: Sequence[Point], targets: Sequence[Point]) -> list[float]:
-    """The eight numbers of the perspective that takes four points to four others."""
+    """The eight numbers of the perspective that maps four points to four others."""
     rows = []
     for (x, y), (u, v) in zip(sources, targets, strict=True):
         rows.append([x, y, 1.0, 0.0, 0.0, 0.0, -u * x, -u * y, u])
@@ -104,7 +105,7 @@ def _mapping(sources: Sequence[Point], targets: Sequence[Point]) -> list[float]:
 
 @cache
 def _light(size: tuple[int, int]) -> Photograph:
-    """How much light falls where, as a picture to multiply with."""
+    """The light at each point, as a picture by which the scene is multiplied."""
     from PIL import ImageChops
 
     images, _ = image_library()
@@ -118,7 +119,7 @@ def _light(size: tuple[int, int]) -> Photograph:
 
 
 def _noise(size: tuple[int, int], draw: Random) -> Photograph:
-    """About 128, with a deviation of ``NOISE``."""
+    """A picture of noise: mean 128, standard deviation ``NOISE``."""
     images, _ = image_library()
     count = 3 * size[0] * size[1]
     one, other = (images.frombytes("RGB", size, draw.randbytes(count)) for _ in range(2))
@@ -129,7 +130,7 @@ def _noise(size: tuple[int, int], draw: Random) -> Photograph:
 
 
 def _cable(draw: Any, width: int, height: int) -> None:
-    """Over the markers on the left."""
+    """Draw a cable over the markers on the left."""
     draw.line(
         [(0.01 * width, 0), (0.07 * width, 0.3 * height), (0.03 * width, height)], fill=(20, 20, 24), width=50
     )

@@ -1,9 +1,9 @@
-"""What a simulated network camera sees: nests side by side, with labels and markers."""
+"""The pictures of a simulated network camera: nests side by side, with labels and markers."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
+from random import Random  # noqa: TID251 (the caller gives the seed)
 from typing import Any
 
 from labos.node import World
@@ -15,7 +15,7 @@ MARKER, MARKER_PX, MODULE_PX = 7, 140, 7
 
 
 def picture_of(world: World, places: Sequence[str], seed: int) -> Picture:
-    """The places from left to right; ``seed`` is that of its chance, another for each picture."""
+    """A picture of the places from left to right. Each picture needs a new ``seed``."""
     import numpy
 
     draw = Random(seed)
@@ -47,7 +47,7 @@ def _marker(view: Picture) -> None:
 
 
 def _paste(view: Picture, image: Any, x: int, y: int, border: int) -> None:
-    """An image in black and white, with a white border, about a point."""
+    """Paste a black and white image with a white border. Its centre is at ``x``, ``y``. All are in pixels."""
     height, width = image.shape[:2]
     left, top = x - width // 2, y - height // 2
     view[max(top - border, 0) : top + height + border, left - border : left + width + border] = 255

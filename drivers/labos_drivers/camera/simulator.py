@@ -13,8 +13,8 @@ from labos_drivers.camera.vision import format_of
 
 
 class CameraSimulator(Simulated):
-    """Sees what stands in its nest, be it a plate or nothing. ``bad_pictures`` of its configuration says how
-    often something is wrong with a picture (0 to 1)."""
+    """A camera above its nest, which may be empty. ``bad_pictures`` of its configuration is the fraction of
+    pictures with a fault (0 to 1)."""
 
     async def grab_image(self, file_name: str, folder: str, rotation_deg: float) -> Attachment:
         format_of(file_name)
@@ -34,7 +34,7 @@ class CameraSimulator(Simulated):
             return Attachment(str(PurePosixPath(folder) / file_name), shown)
 
     def _find_trouble(self) -> str:
-        """What is wrong with the picture that is taken now; mostly nothing."""
+        """The fault of the picture that is taken now, at random; empty if there is none."""
         often = float(self.config.get("bad_pictures", 0.0))
         return self._random.choice(TROUBLES) if self._random.random() < often else ""
 
@@ -47,8 +47,8 @@ class CameraSimulator(Simulated):
             return self.world.barcode(plate) if plate else ""
 
     def observe(self) -> dict[str, Any]:
-        """How much stands in its nest and at the places that it ``observes``; what it reads there, if it
-        ``reads`` labels."""
+        """The number of pieces of labware in its nest and at each place that it ``observes``. If it ``reads``
+        labels, the barcode of a single piece instead."""
         seen = ["plate_station", *self.config.get("observes", ())]
         counted: dict[str, int | str] = {place: len(self.world.at(self.place(place))) for place in seen}
         for place in seen if self.config.get("reads") else ():

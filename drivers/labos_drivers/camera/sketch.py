@@ -1,14 +1,14 @@
-"""What lies under a simulated camera, seen straight from above: the nest with its corner markers, the plate,
-and the colours of what was pipetted.
+"""The scene under a simulated camera, seen vertically from above: the nest with its corner markers, the
+plate, and the colours of the liquids in it.
 
 The geometry is that of ANSI/SLAS 1-2004 and 4-2004. Four ArUco markers (5x5, numbers 0 to 3) lie left and
-right of the plate, as high as its rim.
+right of the plate, at the height of its rim.
 """
 
 from __future__ import annotations
 
 import io
-from random import Random  # noqa: TID251 (seeded by whoever takes the picture)
+from random import Random  # noqa: TID251 (the caller gives the seed)
 from typing import NamedTuple
 
 from labos.node import World
@@ -45,32 +45,32 @@ much brighter, how far from the centre and how wide, in radii."""
 
 
 def colors_of(world: World, plate: str) -> dict[str, Color]:
-    """Red, green and blue of each well that something was pipetted into."""
+    """The colour (red, green and blue, 0 to 255) of each well that contains liquid."""
     contents = world.contents(plate).items()
     return {well: color_of(amounts) for well, amounts in contents if sum(amounts.values())}
 
 
 def cover_of(world: World, plate: str) -> tuple[int, int, int] | None:
-    """The colour of what lies over the wells; None if nothing does."""
+    """The colour of the lid or the foil over the wells; None if they are open."""
     if world.at(lid_of(plate)):
         return LID
     return FOIL if world.last(plate, "seal", "peel") == "seal" else None
 
 
 def corner() -> tuple[int, int]:
-    """The plate's lower right corner, in pixels."""
+    """The position of the plate's lower right corner, in pixels."""
     return round(LEFT + PLATE_MM[0] * PX_PER_MM), round(TOP + PLATE_MM[1] * PX_PER_MM)
 
 
 def centre_of(row: int, column: int) -> tuple[int, int]:
-    """The centre of a well, counted from 0, in pixels."""
+    """The centre of a well, in pixels. Row and column are counted from 0."""
     x = LEFT + (A1_MM[0] + PITCH_MM * column) * PX_PER_MM
     y = TOP + (A1_MM[1] + PITCH_MM * row) * PX_PER_MM
     return round(x), round(y)
 
 
 class Placement(NamedTuple):
-    """How a plate lies in its nest: how far from where it should (pixels), and how it is turned (degrees)."""
+    """How a plate lies in its nest: its distance from the right position (pixels) and its angle (degrees)."""
 
     right: float = 0.0
     down: float = 0.0
@@ -78,14 +78,14 @@ class Placement(NamedTuple):
 
 
 def draw_placement(draw: Random, trouble: str = "") -> Placement:
-    """A plate has some play in its nest; one that lies askew has left it."""
+    """A random placement within the play of the nest. With the trouble ``askew``, the plate is outside it."""
     play = SLACK_MM * PX_PER_MM
     right, down = draw.uniform(-play, play), draw.uniform(-play, play)
     return Placement(right, down + 3 * PX_PER_MM, 3.0) if trouble == "askew" else Placement(right, down)
 
 
 def sketch(world: World, plate: str, at: Placement = Placement()) -> Photograph:  # noqa: B008 (it cannot be changed)
-    """The nest with this plate in it (none, if it is empty), without what a lens and a lamp do to it."""
+    """An image of the nest with this plate (empty: no plate), without the effects of a lens and a lamp."""
     images, drawing = image_library()
     image = images.new("RGB", (WIDTH, HEIGHT), NEST)
     draw = drawing.Draw(image)
@@ -110,7 +110,7 @@ def _plate(world: World, plate: str) -> Photograph:
 
 
 def as_file(image: Photograph, file_name: str, rotation_deg: float) -> bytes:
-    """A picture as a file of this name. Raises DeviceError for one that names no kind of picture."""
+    """The image as bytes of a file, turned counterclockwise. Raises DeviceError if its type is unknown."""
     kind = {".jpg": "JPEG", ".png": "PNG"}[format_of(file_name)]
     file = io.BytesIO()
     image.rotate(rotation_deg, expand=True).save(file, kind, **({"quality": 95} if kind == "JPEG" else {}))
@@ -118,7 +118,7 @@ def as_file(image: Photograph, file_name: str, rotation_deg: float) -> bytes:
 
 
 def _marker(draw: Photograph, modules: tuple[str, ...], x: int, y: int) -> None:
-    """Black, with a white border as wide as a module."""
+    """Draw a marker: black, with a white border as wide as one of its modules."""
     for half, fill in ((4.5, PAPER), (3.5, (12, 12, 12))):
         draw.rectangle((x - half * MODULE_PX, y - half * MODULE_PX, *_end(x, y, half)), fill=fill)
     for row, bits in enumerate(modules):
@@ -149,7 +149,7 @@ def _wells(draw: Photograph, colors: dict[str, Color]) -> None:
 
 
 def _liquid(draw: Photograph, color: Color, x: int, y: int, radius: int) -> None:
-    """The flat middle of a meniscus, with the lamp in it."""
+    """Draw the flat middle of a meniscus, with the reflection of the lamp."""
     flat = round(0.78 * radius)
     draw.ellipse((x - flat, y - flat, x + flat, y + flat), fill=_shade(color, 1.0))
     brighter, away, wide = SHINE

@@ -1,7 +1,7 @@
-"""Where pictures come from: a video device, a network camera, a file or a folder.
+"""The sources of pictures: a video device, a network camera, a file or a folder.
 
-Frames that were under way before a picture was asked for show the past, so that some are always thrown
-away. The numbers are those of AD-SDL/camera_module, src/camera_interface.py.
+The first frames of a video device may be from before the request, so some are discarded for each picture.
+Their numbers are those of AD-SDL/camera_module, src/camera_interface.py.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ WHO = "a camera that gives pictures"
 
 
 class Source(Protocol):
-    """A source of pictures; ``link`` is how it is reached."""
+    """A source of pictures; ``link`` is the connection to it."""
 
     link: Life
 
     def take(self, focus: int | None = None, *, glance: bool = False) -> list[Picture]:
-        """The picture, and the one before it where there is one: two that are equal bit by bit are of a
-        camera that stands still. ``focus`` is 0 to 255, None for what the camera chooses; a ``glance``
-        need not be a good picture. Raises DeviceError."""
+        """Take a picture; it is the last item of the result, after an earlier picture if there is one. Two
+        pictures that are equal bit by bit come from a frozen camera. ``focus`` is 0 to 255, None leaves it
+        to the camera. A ``glance`` may have a lower quality. Raises DeviceError."""
 
 
 def make_source(name: str, address: str, config: Mapping[str, Any], limit_s: Limit) -> Source:
-    """The source that an address names; ``limit_s`` says how long something may take."""
+    """The source for an address. ``limit_s`` gives the timeout (s) for the name of a deadline."""
     if address.startswith(("http://", "https://")):
         return NetworkCamera(name, address, config, limit_s)
     path = Path(address)
@@ -55,9 +55,9 @@ def make_source(name: str, address: str, config: Mapping[str, Any], limit_s: Lim
 
 
 class VideoDevice(Life):
-    """A camera of this computer by its number (``0``) or path (``/dev/v4l/by-id/…``), or whatever else
-    OpenCV opens as a video: a stream, a recording. It is opened for each picture, so that no old frame
-    waits in a buffer, and other programs get at it in between."""
+    """A camera of this computer by its number (``0``) or path (``/dev/v4l/by-id/…``), or another video that
+    OpenCV can open: a stream, a recording. It is opened for each picture. So no old frame waits in a
+    buffer, and other programs can use the camera in between."""
 
     def __init__(self, name: str, address: str, limit_s: Limit) -> None:
         super().__init__(name)
@@ -78,7 +78,7 @@ class VideoDevice(Life):
             raise NotConnected(error.message, remedy=error.remedy) from error
 
     def _disconnect(self) -> None:
-        """It is open only while a picture is taken."""
+        """Do nothing: the device is open only while a picture is taken."""
 
     def _open_device(self) -> Any:
         capture = cv().VideoCapture(self._where)
@@ -108,9 +108,9 @@ class VideoDevice(Life):
             capture.release()
 
     def _set_focus(self, capture: Any, focus: int | None) -> int:
-        """Set the focus; returns how many frames have to be thrown away. Raises DeviceError."""
+        """Set the focus; returns the number of frames to discard. Raises DeviceError if it cannot be set."""
         if focus is None:
-            capture.set(cv().CAP_PROP_AUTOFOCUS, 1)  # one that has no such thing says no
+            capture.set(cv().CAP_PROP_AUTOFOCUS, 1)  # false without an autofocus
             return SETTLES
         capture.set(cv().CAP_PROP_AUTOFOCUS, 0)
         if not capture.set(cv().CAP_PROP_FOCUS, focus):
@@ -118,8 +118,8 @@ class VideoDevice(Life):
         return REFOCUSES
 
     def _run_within(self, limit_s: float, work: Callable[[], T]) -> T:
-        """Run something in a thread, for so long at most: OpenCV may wait for ever for a camera that hangs.
-        The thread is then left behind."""
+        """Run ``work`` in a thread, because OpenCV may wait without end for a camera that hangs. After
+        ``limit_s``, this raises LinkLost, and the thread stays blocked."""
         ends: Future[T] = Future()
 
         def run() -> None:
@@ -140,9 +140,9 @@ class VideoDevice(Life):
 
 
 class NetworkCamera:
-    """A camera that gives a fresh picture at a URL. Each is exposed when it is asked for; the first one
-    is thrown away, so that exposure and white balance have settled. A glance is one picture, compared with
-    the last."""
+    """A camera that gives a new picture at a URL, exposed at the time of the request. For each picture, a
+    first one is taken before it, so that exposure and white balance have settled. A glance takes only one
+    if there is a last picture for comparison."""
 
     def __init__(self, name: str, url: str, config: Mapping[str, Any], limit_s: Limit) -> None:
         self._limit_s = limit_s
@@ -186,7 +186,8 @@ class NetworkCamera:
         return picture
 
     def _recognise(self) -> str:
-        """By its headers: a picture would be one more than was asked for."""
+        """``WHO`` if the address is a camera, else its answer. Asks only for headers (HEAD), because GET
+        would take a picture without need. Raises NotConnected if user or password are wrong."""
         reply = self._http.exchange("HEAD", self._path, timeout_s=self._limit_s("answer", ANSWER_S))
         if reply.status in (401, 403):
             raise NotConnected(
@@ -195,12 +196,12 @@ class NetworkCamera:
             )
         kind = _read_kind(reply)
         if reply.status in (405, 501) or (reply.ok and kind in ("", "image")):
-            return WHO  # some do not take the question
+            return WHO  # some cameras do not support HEAD
         return f"what answers {reply.status} {kind}".rstrip()
 
 
 class StoredPictures(Life):
-    """A picture in a file, or those of a folder one after the other, in the order of their names."""
+    """A picture in a file, or the pictures of a folder in the order of their names, again and again."""
 
     def __init__(self, name: str, path: Path) -> None:
         super().__init__(name)
@@ -234,7 +235,7 @@ class StoredPictures(Life):
             )
 
     def _disconnect(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no file stays open."""
 
     def _list_files(self) -> list[Path]:
         found = sorted(self._path.iterdir()) if self._path.is_dir() else [self._path]
@@ -253,7 +254,7 @@ def _read_kind(reply: HttpReply) -> str:
 
 
 def _make_authorization(name: str, config: Mapping[str, Any]) -> dict[str, str]:
-    """The header for cameras that ask for user and password. Raises DeviceError."""
+    """The header with user and password; empty without ``user``. Raises DeviceError without a password."""
     user = config.get("user")
     if not user:
         return {}

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the camera."""
+"""The declaration of the camera for the torture suite."""
 
 from __future__ import annotations
 

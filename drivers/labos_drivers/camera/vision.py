@@ -1,4 +1,4 @@
-"""What is done with pictures, by OpenCV, which is imported when the first one is needed.
+"""Functions on pictures, with OpenCV. It is imported at its first use.
 
 A picture is an array of rows, columns and three bytes (blue, green, red).
 """
@@ -42,7 +42,7 @@ def cv() -> Any:
 
 
 def format_of(name: str) -> str:
-    """What a picture of this file name is written as. Raises DeviceError."""
+    """The file type for a picture of this name. Raises DeviceError if it is unknown."""
     suffix = PurePosixPath(name).suffix.lower()
     if suffix not in FORMATS:
         raise DeviceError(
@@ -54,13 +54,13 @@ def format_of(name: str) -> str:
 
 
 def decode(data: bytes) -> Picture | None:
-    """The picture in a file's bytes; None if they are none, or only a part of one."""
+    """The picture in a file's bytes. None if they are not a picture, or if a JPEG has no end."""
     import numpy
 
     whole = data[:2] != b"\xff\xd8" or data.rstrip(b"\0")[-2:] == b"\xff\xd9"
     if not data or not whole:
         return None
-    # An array that is no picture is None to some versions, an error to others.
+    # If the bytes are not a picture, some versions of OpenCV return None, others raise an error.
     try:
         return cv().imdecode(numpy.frombuffer(data, numpy.uint8), cv().IMREAD_COLOR)
     except cv().error:
@@ -68,7 +68,7 @@ def decode(data: bytes) -> Picture | None:
 
 
 def encode(picture: Picture, name: str) -> bytes:
-    """As a file of this name. Raises DeviceError."""
+    """The picture as the bytes of a file with this name. Raises DeviceError."""
     done, data = cv().imencode(format_of(name), picture)
     if not done:
         raise DeviceError(f"The picture cannot be written as {name!r}.", effects="all")
@@ -76,7 +76,7 @@ def encode(picture: Picture, name: str) -> bytes:
 
 
 def rotate(picture: Picture, degrees: float) -> Picture:
-    """Turned against the clock, as large as it has to be for nothing to be cut off."""
+    """The picture, turned counterclockwise. It is made larger if necessary, so that nothing is cut off."""
     quarters = {90: "ROTATE_90_COUNTERCLOCKWISE", 180: "ROTATE_180", 270: "ROTATE_90_CLOCKWISE"}
     if degrees % 360 == 0:
         return picture
@@ -91,26 +91,26 @@ def rotate(picture: Picture, degrees: float) -> Picture:
 
 
 def is_black(picture: Picture) -> bool:
-    """Whether it shows nothing: the light is off, or something covers the lens."""
+    """Whether the picture shows nothing: the light is off, or something covers the lens."""
     mean, scatter = cv().meanStdDev(cv().cvtColor(picture, cv().COLOR_BGR2GRAY))
     return bool(mean[0][0] < DARK and scatter[0][0] < FLAT)
 
 
 def is_same(one: Picture, other: Picture) -> bool:
-    """Whether two pictures are equal bit by bit: with the noise of a working camera they never are."""
+    """Whether two pictures are equal bit by bit. Those of a working camera never are, because of noise."""
     return bool(one.shape == other.shape and (one == other).all())
 
 
 def part(picture: Picture, view: tuple[float, float, float, float]) -> Picture:
-    """A part of a picture; left, top, right and bottom are fractions of it."""
+    """A part of a picture. ``view`` is left, top, right and bottom, as fractions of the picture."""
     height, width = picture.shape[:2]
     left, top, right, bottom = view
     return picture[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
 
 
 def read_label(picture: Picture) -> str:
-    """What a label in it says: QR, EAN or UPC, which OpenCV reads. Empty if there is none, or more than
-    one."""
+    """The text of the label in a picture: of a QR code, else of an EAN or UPC code. Empty if there is none,
+    or if there are several texts."""
     grey = cv().cvtColor(picture, cv().COLOR_BGR2GRAY)
     sizes = [grey if scale == 1 else cv().resize(grey, None, fx=scale, fy=scale) for scale in SCALES]
     qr = (cv().QRCodeDetectorAruco(), cv().QRCodeDetector())
@@ -119,17 +119,17 @@ def read_label(picture: Picture) -> str:
 
 
 def _read_texts(detectors: tuple[Any, ...], pictures: list[Picture]) -> set[str]:
-    """All that any of them reads anywhere."""
+    """All texts that any of the detectors reads in any of the pictures."""
     each = (detector.detectAndDecodeMulti(picture)[1] for picture in pictures for detector in detectors)
     return {text for texts in each for text in texts if text}
 
 
 def is_occupied(view: Picture) -> bool | None:
-    """Whether a plate stands in the nest that a view shows; None if that cannot be told.
+    """Whether a plate stands in the nest that a view shows; None if the view does not show it.
 
-    A label or a grid of wells is a plate. A bare nest is one whose marker is seen: the plate would cover
-    it. What shows both, as a clear plate does, or neither, as a lidded one in a nest without a marker,
-    is not decided.
+    A label or a grid of wells is the sign of a plate. A marker is the sign of an empty nest, because a plate
+    covers it. The result is None with both signs (a clear plate), with none (a plate with a lid, or an empty
+    nest without a marker), and for a black picture.
     """
     if is_black(view):
         return None
@@ -139,7 +139,7 @@ def is_occupied(view: Picture) -> bool | None:
 
 
 def has_marker(view: Picture) -> bool:
-    """Whether a marker of the dictionary is seen."""
+    """Whether a view shows a marker of the dictionary ``MARKERS``."""
     aruco = cv().aruco
     detector = aruco.ArucoDetector(aruco.getPredefinedDictionary(getattr(aruco, MARKERS)))
     _, ids, _ = detector.detectMarkers(view)
@@ -147,8 +147,8 @@ def has_marker(view: Picture) -> bool:
 
 
 def has_wells(view: Picture) -> bool:
-    """Whether round wells of one size stand in a grid; those of a plate that fills half of the view's
-    width or more."""
+    """Whether a view shows round wells of equal size in a grid. The plate has to fill at least half of the
+    view's width."""
     import numpy
 
     scale = VIEW_PX / view.shape[1]
@@ -179,8 +179,8 @@ def has_wells(view: Picture) -> bool:
     regular = abs(distance - numpy.median(distance)) <= REGULAR * numpy.median(distance)
     if regular.mean() <= MOSTLY:
         return False
-    # Neighbours in a grid lie in two directions, a quarter turn apart: four times their angles are one.
-    # A circle that was seen between the wells has no neighbour of the grid: its direction says nothing.
+    # Neighbours in a grid lie in directions that differ by multiples of 90°, so four times the angles agree.
+    # A circle that was found between wells is no part of the grid, so its direction is left out.
     angle = numpy.arctan2(down[each, next_to], across[each, next_to])[regular]
     straight = abs(numpy.exp(4j * angle).mean())
     return bool(straight > MOSTLY)

@@ -1,5 +1,5 @@
-"""A simulated network camera: it shows its nest, and the places that it observes, as they are when it is
-asked."""
+"""A simulated network camera. Its pictures show its nest and the places that it observes at the time of the
+request."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ EXPOSES_S = 1.5
 
 
 class CameraOnWire(OnHttp):
-    """What the device is and does. Somebody may switch the light off (``is_dark``), its sensor may hang
-    (``is_frozen``), it may take a picture and never send it (``is_silent``)."""
+    """The simulated device. The light may be off (``is_dark``), and the sensor may hang (``is_frozen``). With
+    ``is_silent``, it takes a picture and does not send it."""
 
     def __init__(self, setup: Setup, end: HttpEnd | None = None) -> None:
         super().__init__(setup, end)
@@ -30,7 +30,7 @@ class CameraOnWire(OnHttp):
         return f"{self.end.address}/{PATH}"
 
     def listen(self, timeout_s: float) -> None:
-        """A picture takes its time, and is sent when it is done."""
+        """Answer a request, if one comes in this time. A picture is sent after its exposure."""
         try:
             request = self.end.requests.get(timeout=timeout_s)
         except queue.Empty:
@@ -50,12 +50,12 @@ class CameraOnWire(OnHttp):
             self.after(EXPOSES_S, lambda: request.replies.put(shot))
 
     def _expose(self) -> Picture:
-        """What is there now."""
+        """A picture of the present bench; if the sensor hangs, the last picture again."""
         nest = self._places[0]
         self.world.work(self.name, "picture", nest if self.top(nest) else "")
         if self.is_frozen and self._last is not None:
             return self._last
-        # Noise is never the same twice, not even after the power was off.
+        # The time is the seed, so that the noise is never repeated, also after the power was off.
         seen = picture_of(self.world, self._places, time.monotonic_ns())
         self._last = cv().convertScaleAbs(seen, alpha=0.01) if self.is_dark else seen
         return self._last

@@ -1,4 +1,4 @@
-"""Drives a SWING through a gateway to its maker's program."""
+"""Drives a SWING through a gateway to the software of its manufacturer."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PROGRAM = re.compile(r"[\w .\-]{1,100}")
 
 
 class ChemspeedDriver(GatedDriver):
-    """The hood counts as open when its sensor says so; a program has ended when its last task says so."""
+    """The hood is open when its sensor reports it. A program has ended when its last task reports it."""
 
     instrument = "chemspeed"
 

@@ -1,4 +1,4 @@
-"""What the Chemspeed offers."""
+"""The actions of the Chemspeed."""
 
 from __future__ import annotations
 

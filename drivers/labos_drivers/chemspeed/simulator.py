@@ -1,4 +1,4 @@
-"""A simulated SWING. All durations are invented: none are published."""
+"""A simulated SWING. All durations are invented, because none is published."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from labos_drivers._simulation import Gated
 
 
 class ChemspeedSimulator(Gated):
-    """A platform that makes its samples with or without a plate from outside. With the configuration
-    ``bubbles`` (0 to 1) some wells keep a bubble."""
+    """A platform that needs a plate from outside only for a program with ``wells``. ``bubbles`` of the config
+    (0 to 1) is the share of wells that keep a bubble."""
 
     gate_s = 6.0
 

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the SWING."""
+"""The declaration of the SWING for the torture suite."""
 
 from __future__ import annotations
 

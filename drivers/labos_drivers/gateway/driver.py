@@ -1,4 +1,4 @@
-"""Drives an instrument through a gateway on its PC (``server.py`` says how they talk)."""
+"""Drives an instrument through a gateway on its PC. ``server.py`` describes the protocol."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ REFUSALS = (409, 422, 503)
 
 
 class Start(NamedTuple):
-    """What an action is called, and in which journal of the gateway it will stand."""
+    """The name of an action, and the gateway's journal that will record it."""
 
     journal: str
     name: str
 
     @property
     def handle(self) -> str:
-        """What a node journals of it."""
+        """The handle that the node journals before the start."""
         return f"{self.journal}:{self.name}"
 
 
 class GatewayDriver(Wired):
-    """Starts actions under names of its own, which the node journals before, and asks for their end by
-    name. A name is started once, whatever gets lost."""
+    """Starts each action under a new name, and asks for its end by this name. Except for ``reset``, the node
+    journals the name before the start. A name is started at most once, even if messages are lost."""
 
     deadlines = ("answer", "lost")
     where = ("url", "http://192.168.0.30:2100")
@@ -58,27 +58,28 @@ class GatewayDriver(Wired):
         return self.limit_s("answer", ANSWER_S)
 
     async def call(self, action: str, **args: Any) -> Any:
-        """Carry an action out; returns its result. Raises DeviceError."""
+        """Carry out an action; returns its result. Raises DeviceError, OutcomeUnknown."""
         start = await self.name_start()
         await note_handle(start.handle)
         return await self.carry_out(start, action, args)
 
     @off_loop
     def name_start(self) -> Start:
-        """A name for an action that is about to be started. Raises NotConnected, WrongDevice."""
+        """A new name for an action that has not been started. Raises NotConnected, WrongDevice."""
         self.link.open()
         return Start(self._journal, secrets.token_hex(8))
 
     @off_loop
     def carry_out(self, start: Start, action: str, args: Mapping[str, Any]) -> Any:
-        """Start an action and wait for its end."""
+        """Start an action and wait for its end; returns its result. Raises DeviceError, OutcomeUnknown."""
         with self.motion():
             return self._carry_out(start, action, args)
 
     @off_loop
     def follow(self, handle: str) -> Any:
-        """The end of what was started under this name before. Raises DeviceError, also if it never was:
-        then it cannot begin any more. Raises OutcomeUnknown where the gateway cannot know that."""
+        """Wait for the end of an action that may have been started with this handle; returns its result.
+        Raises DeviceError if it failed or was never started; then it can no longer start. Raises
+        OutcomeUnknown if the gateway does not know the outcome."""
         journal, _, name = handle.rpartition(":")
         start = Start(journal, name)
         with self.motion():
@@ -88,14 +89,15 @@ class GatewayDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """As the gateway does it."""
+        """End a stop and carry out the gateway's own action ``reset``. Raises DeviceError, OutcomeUnknown."""
         self.resume()
         self.link.open()
         self._carry_out(Start(self._journal, secrets.token_hex(8)), "reset", {})
 
     @during_motion
     def stop(self) -> None:
-        """Raises DeviceError if the instrument cannot be stopped from its PC."""
+        """Stop the instrument, and start nothing until a reset. Raises DeviceError if it moves and cannot be
+        stopped from its PC."""
         self._halted.set()
         if not self._ask("POST", "/stop").get("stopped") and self.moving:
             raise DeviceError(
@@ -105,7 +107,7 @@ class GatewayDriver(Wired):
 
     @during_motion
     def is_idle(self) -> bool:
-        """An instrument that does not report that it is idle is busy."""
+        """Whether the gateway reports that the instrument is idle; without this report it counts as busy."""
         return self._ask("GET", "/state").get("busy") is False
 
     @during_motion
@@ -124,7 +126,7 @@ class GatewayDriver(Wired):
         except LinkError as error:
             if error.effects == "none":
                 raise
-            # It may or may not have been heard; from now on it is not heard any more.
+            # The gateway may or may not have received it. After the DELETE, a late request starts nothing.
             with self.under_way():
                 entry = self._poll_action("DELETE", start)
         else:
@@ -162,13 +164,14 @@ class GatewayDriver(Wired):
         raise Garbled(f"{self.name}: {entry!r} is no state of an action.")
 
     def _forget_another(self, answer: dict[str, Any]) -> None:
-        """Connect again to a gateway whose journal is another one than before, to find out which it is."""
+        """Close the link if the gateway has another journal than before. The next connection then reads the
+        name of its journal."""
         if answer.get("journal") != self._journal:
             self.link.close()
 
     def _poll_action(self, method: str, start: Start) -> dict[str, Any]:
-        """Read the state of an action, or void it; a gateway that cannot be reached for a while is asked
-        again."""
+        """The state of an action. The method ``DELETE`` voids the action if the gateway does not know it. A
+        gateway that cannot be reached is asked again until the deadline ``lost``."""
         limit_s = self.limit_s("lost", LOST_S)
         return self.ask_again(lambda: self._ask(method, f"/actions/{start.name}"), limit_s, POLL_S)
 
@@ -178,7 +181,7 @@ class GatewayDriver(Wired):
         return self._check_reply(self.link.exchange(method, path, timeout_s=self._answer_s))
 
     def _check_reply(self, reply: HttpReply) -> dict[str, Any]:
-        """The body of a successful reply. Raises DeviceError for any other."""
+        """The body of a successful reply. Raises DeviceError for any other reply."""
         body = self._parse_reply(reply)
         if not reply.ok:
             raise DeviceError(f"{self.name}: the gateway answers {reply.status}: {body.get('error')}.")
@@ -209,7 +212,7 @@ class GatewayDriver(Wired):
 
 
 class GatedDriver(GatewayDriver):
-    """Of an instrument with a lid or a carrier, which the actions ``gate`` open and close."""
+    """The driver of an instrument with a lid or a carrier. The two actions of ``gate`` open and close it."""
 
     gate: ClassVar[tuple[str, str]] = ("open_lid", "close_lid")
 

@@ -1,7 +1,7 @@
-"""The reference gateway: what runs on the PC of an instrument whose own protocol is closed.
+"""The reference gateway. It runs on the PC of an instrument whose own protocol is not published.
 
-It needs Python (3.9 or later) and nothing else; this file may be copied by itself. What knows the
-maker's software is a class of yours::
+It needs only Python (3.9 or later), and this file can be copied alone. You write the class that uses the
+maker's software::
 
     class Cycler(Hands):
         instrument = "biometra"
@@ -16,18 +16,18 @@ maker's software is a class of yours::
 
 The protocol, in JSON over HTTP:
 
-- ``GET /``: which instrument this is, its actions, and the ``journal``: a name that each journal bears, so
-  that what a lost journal knew is not taken for what never happened.
-- ``PUT /actions/ID`` ``{"action": …, "args": {…}, "journal": …}``: start it. An id is started once and never
-  again: a known one is answered with its state. 409: it is at work, or the journal is another. 422: refused.
-  503: it shuts down. Then nothing moved.
-- ``GET /actions/ID``: ``running``, ``succeeded``, ``failed``, ``void``, or ``interrupted``: the gateway died
-  meanwhile, and nothing shows what became of it. With ``result``, ``error``, ``remedy``, ``effects``,
-  ``files``, ``journal``. 404: never heard of.
-- ``DELETE /actions/ID``: if it was never heard of, it is ``void`` and will never be started; else its state.
-- ``GET /actions/ID/files/NAME``: a file that it left.
-- ``GET /state``: ``busy``, the ``action`` under way, and ``seen``, what the instrument's own sensors see.
-- ``POST /stop``: end all motion, if that can be done: ``{"stopped": true}``.
+- ``GET /``: the instrument, its actions, ``serial``, ``firmware``, and ``journal``: the name of the journal.
+  If the journal was lost, the name is another. Then an unknown id does not show that nothing happened.
+- ``PUT /actions/ID`` ``{"action": …, "args": {…}, "journal": …}``: start the action (201). An id is started
+  only once; for a known id the answer is its state (200). 409: the instrument is busy, or the gateway has
+  another journal. 422: refused. 503: the gateway is shutting down. After 409, 422 and 503 nothing has moved.
+- ``GET /actions/ID``: the state: ``running``, ``succeeded``, ``failed``, ``void``, or ``interrupted`` (the
+  gateway died during the action, and the outcome is unknown). With ``result``, ``error``, ``remedy``,
+  ``effects``, ``files``, ``journal``. 404: the id is unknown.
+- ``DELETE /actions/ID``: an unknown id becomes ``void`` and can never start; for a known id, its state.
+- ``GET /actions/ID/files/NAME``: a file that the action left.
+- ``GET /state``: ``busy``, the ``action`` in progress, and ``seen``, the values of the instrument's sensors.
+- ``POST /stop``: end all motion: ``{"stopped": true}``, or false if the instrument cannot be stopped.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Refused(Exception):
 
 
 class Failed(Refused):
-    """The action failed, and what it had done by then is ``effects``: unknown if you cannot tell."""
+    """The action failed. ``effects`` says what it has done: none, partial, all, or unknown if not clear."""
 
     def __init__(self, message: str, remedy: str = "", effects: str = "unknown") -> None:
         super().__init__(message, remedy)
@@ -71,40 +71,40 @@ class Failed(Refused):
 
 
 class Unknown(Exception):
-    """Nothing shows what became of the action."""
+    """The outcome of the action cannot be found out."""
 
 
 class Hands:
-    """What moves the instrument. Subclasses name it and its actions."""
+    """The part that controls the instrument. Subclasses set ``instrument`` and ``actions``."""
 
     instrument = ""
     actions: tuple[str, ...] = ()
 
     def serial(self) -> str:
-        """The instrument's serial number, as the instrument itself tells it; empty if it tells none. A PC may
-        have several, in an order that changes: choose yours by it, not by its place in a list."""
+        """The serial number that the instrument itself reports; empty if it reports none. If a PC has several
+        instruments, their order may change: select yours by this number, not by its place in a list."""
         return ""
 
     def firmware(self) -> str:
-        """The version of the instrument's firmware; empty if it is not told."""
+        """The version of the instrument's firmware; empty if it is not reported."""
         return ""
 
     def do(self, action: str, args: dict[str, Any], folder: Path) -> Any:
-        """Carry an action (or ``reset``) out and return its result when it has truly ended. Files that it
-        leaves go to ``folder``. Raise Refused or Failed."""
+        """Carry out an action (or ``reset``); return its result when it has really ended. Put files that it
+        leaves into ``folder``. Raise Refused or Failed."""
         raise NotImplementedError
 
     def check(self, action: str, args: dict[str, Any]) -> None:
-        """Raise Refused for what cannot be done now; asked before an action is accepted."""
+        """Raise Refused if the action cannot be done now. Called before any action or ``reset`` starts."""
 
     def look_back(self, action: str, folder: Path) -> Any:
-        """What became of an action in whose middle the gateway died, as sensors and files show it; asked when
-        the instrument stands still. Return its result if it was done to its end. Raise Failed if they show
-        that it was not, Unknown if they show neither."""
+        """Find out from sensors and files how an action ended during which the gateway died. Called when the
+        instrument stands still. Return the result if the action was completed. Raise Failed if it was not,
+        Unknown if sensors and files show neither."""
         raise Unknown("the gateway was restarted in mid-action")
 
     def is_idle(self) -> bool:
-        """Whether the instrument stands still, also if it was not we who moved it."""
+        """Whether the instrument stands still. Motions that this program did not start count too."""
         return True
 
     def read_sensors(self) -> dict[str, Any]:
@@ -112,12 +112,12 @@ class Hands:
         return {}
 
     def stop(self) -> bool:
-        """End all motion; False if that cannot be done."""
+        """End all motion; returns False if this is not possible."""
         return False
 
 
 class Gateway:
-    """Actions by their ids, each started once; each start is written down before anything moves."""
+    """Carries out actions by their ids, each id only once. A start is journalled before anything moves."""
 
     def __init__(self, hands: Hands, journal: Path) -> None:
         self.hands = hands
@@ -134,7 +134,7 @@ class Gateway:
                 self._entries[entry["id"]] = entry
         self._left = [entry for entry in self._entries.values() if entry["status"] == "running"]
         torn = journal.exists() and not journal.read_bytes().endswith(b"\n")
-        self._file = open(journal, "a", encoding="utf-8")  # noqa: SIM115 (as long as it lives)
+        self._file = open(journal, "a", encoding="utf-8")  # noqa: SIM115 (open until ``close``)
         if torn:
             self._file.write("\n")
         if not self.journal:
@@ -146,7 +146,7 @@ class Gateway:
             self._file.close()
 
     def start(self, name: str, body: Any) -> tuple[int, dict[str, Any]]:
-        """Start an action; returns HTTP status and answer. Raises ValueError."""
+        """Start an action; returns HTTP status and answer. Raises AttributeError if the body is no object."""
         action, args = body.get("action"), body.get("args") or {}
         with self._lock:
             self._look_back()
@@ -194,7 +194,7 @@ class Gateway:
             self._keep(end)
 
     def _look_back(self) -> None:
-        """Find out how the action ended in whose middle the gateway died. It counts as running until the
+        """Find out how an action ended during which the gateway died. It counts as running until the
         instrument stands still."""
         while self._left and self.hands.is_idle():
             entry = self._left.pop()
@@ -203,7 +203,7 @@ class Gateway:
             self._keep(self._run_action(entry["id"], action, look))
 
     def _run_action(self, name: str, action: str, work: Callable[[Path], Any]) -> dict[str, Any]:
-        """Do the work of an action, and return the entry of its end."""
+        """Do the work of an action; returns the journal entry with its outcome."""
         folder = self._folder / name
         end: dict[str, Any] = {"id": name, "action": action}
         try:
@@ -232,7 +232,8 @@ class Gateway:
 
 
 def _read_entries(journal: Path) -> list[dict[str, Any]]:
-    """The entries of a journal, without a line that is cut off: what that is about was not begun."""
+    """The entries of a journal. A line that is cut off is skipped: its action has not started, or still
+    counts as running."""
     entries = []
     for line in journal.read_text("utf-8").splitlines() if journal.exists() else ():
         try:
@@ -243,7 +244,7 @@ def _read_entries(journal: Path) -> list[dict[str, Any]]:
 
 
 class Server(ThreadingHTTPServer):
-    """The gateway at a port."""
+    """The HTTP server of a gateway."""
 
     daemon_threads = True
     block_on_close = False
@@ -253,11 +254,11 @@ class Server(ThreadingHTTPServer):
         super().__init__((host, port), Handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Clients that close their connection are no error."""
+        """Do nothing: a client that closes its connection is no error."""
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request."""
+    """Handles one request."""
 
     server: Server
 
@@ -307,10 +308,10 @@ class Handler(BaseHTTPRequestHandler):
             self._send(404, {"error": "there is nothing here"})
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is written to the terminal."""
+        """Do nothing: requests are not written to the terminal."""
 
     def _with_journal(self, entry: dict[str, Any]) -> dict[str, Any]:
-        """An entry with the name of the journal that has it."""
+        """An entry with the name of the gateway's journal."""
         return {**entry, "journal": self.server.gateway.journal}
 
     def _split_path(self) -> list[str]:
@@ -327,7 +328,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def main() -> None:
-    """Serve until the process is ended."""
+    """Start the gateway, and serve until the process ends."""
     parser = argparse.ArgumentParser(description="A gateway between LabOS and an instrument's own software.")
     parser.add_argument("hands", help="your class, as module:Class")
     parser.add_argument("--host", default="127.0.0.1", help="0.0.0.0 lets other computers in; see the page")
@@ -344,5 +345,6 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    # Under its name, so that Refused and Failed of your class are those that are caught here.
+    # Call ``main`` of the imported module, not of ``__main__``. Then this file catches the same classes
+    # Refused and Failed that your class raises.
     importlib.import_module(f"{__package__}.server" if __package__ else Path(__file__).stem).main()

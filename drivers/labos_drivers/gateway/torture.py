@@ -1,4 +1,4 @@
-"""What the torture suite has to know of every instrument behind a gateway."""
+"""What the torture suite needs to know about all instruments behind a gateway."""
 
 from __future__ import annotations
 

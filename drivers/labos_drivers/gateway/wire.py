@@ -1,4 +1,4 @@
-"""A simulated instrument behind the reference gateway itself."""
+"""A simulated instrument behind the real reference gateway."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ D = TypeVar("D", bound=Simulated)
 
 
 class SimulatedHands(Hands):
-    """A simulated device in the place of the maker's software: it lives in a thread of its own."""
+    """Hands with a simulated device instead of the maker's software. The device runs in its own thread."""
 
     def __init__(
         self,
@@ -68,7 +68,8 @@ class SimulatedHands(Hands):
         return result
 
     def look_back(self, action: str, folder: Path) -> Any:
-        """By a sensor that shows what the action was for, or by the one file that it leaves."""
+        """The result of an action: the name of the one file that it left. Without such a file, None if the
+        sensors report the values that they have after the action. Otherwise raises Unknown."""
         files = [path.name for path in folder.iterdir()] if action in self._leave_files else []
         if len(files) == 1:
             return files[0]
@@ -94,10 +95,10 @@ class SimulatedHands(Hands):
 
 
 class GatewayOnWire(Generic[D]):
-    """The gateway with a simulated device of a kind. ``actions`` maps the instrument's actions to the
-    device's methods; ``sensors_after`` has what its sensors report after some of them, ``leave_files`` names
-    those whose result is the name of a file. Its journal lies beside the bench, and outlives a loss of power;
-    in ``folder`` if given."""
+    """The gateway with a simulated device of class ``kind``. ``actions`` maps the instrument's actions to the
+    device's methods. ``sensors_after`` has the values of its sensors after some actions. ``leave_files`` has
+    the actions whose result is the name of a file. The journal is in ``folder`` if given, else beside the
+    bench, where it survives a power loss. With a bench in memory it is in a temporary folder."""
 
     instrument: ClassVar[str]
     kind: Callable[[Setup], D]
@@ -132,7 +133,7 @@ class GatewayOnWire(Generic[D]):
         self.hands.serial_number = number
 
     def plug(self) -> None:
-        """The gateway can be reached."""
+        """Open the gateway's port. The port stays the same after ``unplug``."""
         if self._server is None:
             self._server = Server(self._gateway, port=self._port)
             self._port = self._server.server_port
@@ -143,7 +144,7 @@ class GatewayOnWire(Generic[D]):
             threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
 
     def restart_pc(self) -> None:
-        """The gateway dies and is started again; the instrument goes on meanwhile."""
+        """End the gateway and start it again. The instrument continues its action meanwhile."""
         self.unplug()
         self._gateway.close()
         self._gateway = self._boot()
@@ -168,5 +169,5 @@ class GatewayOnWire(Generic[D]):
 
 
 def _find_folder(world: World, name: str) -> Path | None:
-    """The disk of the PC of a device, beside the bench; None for a bench in memory."""
+    """The folder that is the disk of a device's PC, beside the bench; None for a bench in memory."""
     return None if world.path == ":memory:" else Path(f"{world.path}.{name}.pc")

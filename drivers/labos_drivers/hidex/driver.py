@@ -1,4 +1,4 @@
-"""Drives a Hidex Sense through a gateway to its maker's service."""
+"""The driver of a Hidex Sense, through a gateway to the service of its maker."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ LONGEST_NAME = 100
 
 
 class HidexDriver(GatedDriver):
-    """``open`` and ``close`` are of the plate carrier. An assay ends when its file is whole."""
+    """``open`` and ``close`` move the plate carrier. An assay ends when its file is complete."""
 
     instrument = "hidex"
     gate = ("open", "close")
@@ -27,8 +27,8 @@ class HidexDriver(GatedDriver):
         return table
 
     def parse_result(self, action: str, result: Any) -> Any:
-        """The result of an action. Raises Garbled for what is no result: an assay that fails may end like
-        others, but leaves no file."""
+        """The result of an action. Raises Garbled if it is invalid. An assay that fails may end like a
+        successful one, but leaves no file."""
         if action == "run_assay" and not (isinstance(result, str) and result):
             raise Garbled(
                 f"{self.name}: the assay has ended without a file: {str(result)[:80]!r}.",
@@ -38,12 +38,12 @@ class HidexDriver(GatedDriver):
             isinstance(result, dict) and isinstance(result.get("wells"), dict)
         ):
             raise Garbled(f"{self.name}: {str(result)[:80]!r} is no table of wells.", effects="all")
-        if action == "read_plate":  # what was too dark for the reader has no value
+        if action == "read_plate":  # a well that absorbs too much for the reader has no value
             result.setdefault("overflow", [well for well, value in result["wells"].items() if value is None])
         return result
 
     def _check_assay(self, assay: str) -> None:
-        """Raise DeviceError for what cannot be the name of a template."""
+        """Raise DeviceError if this cannot be the name of a template."""
         if not assay or len(assay) > LONGEST_NAME or not assay.isprintable():
             raise self.make_refusal(
                 f"{assay[:40]!r} is no name of an assay",

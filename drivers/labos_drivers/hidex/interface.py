@@ -1,4 +1,4 @@
-"""What the Hidex offers."""
+"""The actions of the Hidex."""
 
 from __future__ import annotations
 

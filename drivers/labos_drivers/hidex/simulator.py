@@ -1,4 +1,4 @@
-"""A simulated Hidex Sense."""
+"""A simulated Hidex Sense on the bench, without a wire."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ HIGHEST_OD = 4.0
 
 
 class HidexSimulator(Gated):
-    """Reads what is on its carrier."""
+    """A reader that measures the plate on its carrier."""
 
     gate_s = 10.0
 
@@ -35,7 +35,7 @@ class HidexSimulator(Gated):
             return self._name_file(assay)
 
     async def read_plate(self, assay: str) -> dict[str, Any]:
-        """What the plate holds is its own: the same plate reads the same twice, but for noise."""
+        """The table of absorbances. An unchanged plate gives the same values again, except for noise."""
         with self.motion():
             plate = await self._read(assay)
             kind = self.world.kind(plate)
@@ -51,7 +51,7 @@ class HidexSimulator(Gated):
             }
 
     async def _read(self, assay: str) -> str:
-        """Read the plate, and return which it is."""
+        """Read the plate, and return its name."""
         self.check_closed()
         self.crash_if_lidded(self.place("default"), "reads through a lid")
         await self.take_time(300)
@@ -62,8 +62,8 @@ class HidexSimulator(Gated):
         return f"{assay}_{self.reads:04}.csv"
 
     def _read_absorbances(self, plate: str, wells: list[str], assay: str) -> dict[str, float | None]:
-        """Of what was pipetted into it, at the wavelength in the assay's name (nm). A plate into which
-        nothing was holds something of its own."""
+        """The absorbance (OD) of each well, for what was pipetted into it, at the wavelength in the assay's
+        name (nm); None if it overflows. If nothing was pipetted into a plate, its wells have fixed values."""
         contents = self.world.contents(plate)
         named = re.search(r"[2-9][0-9]{2}", assay)
         nm = float(named[0]) if named else USUAL_NM
@@ -78,7 +78,7 @@ class HidexSimulator(Gated):
         return found
 
     def _list_stays(self, plate: str) -> list[Stay]:
-        """The times that the plate was kept warm so far (h, °C)."""
+        """The ended incubations of the plate so far: duration (h) and temperature (°C)."""
         stays: list[Stay] = []
         since: tuple[float, float] | None = None
         for motion in self.world.history(plate, "incubate", "cool"):

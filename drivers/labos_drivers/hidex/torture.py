@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the Sense."""
+"""The declaration of the Hidex Sense for the torture suite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drives one incubator of a stack over its serial port."""
+"""The driver of one incubator of a stack, by its serial port."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Id, Floor = Annotated[int, msgspec.Meta(ge=0, le=15)], Annotated[int, msgspec.Me
 
 
 class Refused(DeviceError):
-    """The incubator answers a question with an error; ``code`` is its number."""
+    """The incubator answers a command with an error; ``code`` is the error code."""
 
     def __init__(self, name: str, command: str, code: int) -> None:
         why = protocol.MEANINGS.get(code, "an unknown error")
@@ -36,9 +36,9 @@ class Refused(DeviceError):
 
 
 class InhecoDriver(Wired):
-    """An answer says that a command was taken, not that it is done: the drawer and the shaker are watched
-    until they are where they should be. Answers bear no check sum, so that only what an answer to the
-    question can be is believed."""
+    """The driver of one incubator. An answer means that a command was accepted, not that it is done. So the
+    drawer and the shaker are queried until they reach the requested state. Answers have no check sum, so only
+    an answer that fits the command is accepted."""
 
     deadlines = ("answer", "drawer", "shaker")
     link: Link
@@ -81,7 +81,7 @@ class InhecoDriver(Wired):
             )
 
     def _read_drawer(self) -> str:
-        """``0`` closed, ``1`` open, empty in between."""
+        """The position of the drawer: ``0`` closed, ``1`` open, empty in between."""
         try:
             return self._ask("RDS", "[01]")
         except Refused as error:
@@ -125,8 +125,8 @@ class InhecoDriver(Wired):
 
     @off_loop
     def begin_shake(self, rpm: float, amplitude_mm: float) -> None:
-        """In circles. What is set counts from the next start only, so that a shaker that runs is stopped
-        first."""
+        """Shake in circles. Settings apply only from the next start, so a running shaker is stopped
+        first. Raises DeviceError."""
         with self.motion():
             if self._ask("RTS", "[0-3]") not in (protocol.MP_SHAKER, protocol.DWP_SHAKER):
                 raise self.make_refusal("this incubator has no shaker")
@@ -160,15 +160,15 @@ class InhecoDriver(Wired):
             )
 
     def _read_shaker(self) -> str:
-        """``0`` if it stands still."""
+        """The state of the shaker: ``0`` stands still, ``1`` shakes, ``2`` runs down."""
         return self._ask("RSE", "[012]")
 
-    # -- the device itself -------------------------------------------------------------------
+    # -- reset, stop and status --------------------------------------------------------------
 
     @off_loop
     def reset(self) -> None:
-        """Initialise it, which closes its drawer and stops heater and shaker; what it was set to is set
-        again."""
+        """Initialise the incubator: its drawer closes, heater and shaker stop. Then heat again to the
+        temperature that was set, if there is one. Raises DeviceError."""
         self._order("AID", self.limit_s("drawer", DRAWER_S), again=True)
         with self.under_way():
             self._await(
@@ -182,7 +182,7 @@ class InhecoDriver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """The shaker stops; the drawer ends what it has begun."""
+        """Stop the shaker. Raises DeviceError if the drawer moves: it completes its motion."""
         self._halted.set()
         self._order("ASE0")
         if self._read_drawer() == "":
@@ -193,7 +193,7 @@ class InhecoDriver(Wired):
 
     @during_motion
     def is_idle(self) -> bool:
-        """Shaking and heating are states, not work."""
+        """Whether the drawer is open or closed. An incubator that shakes or heats is idle too."""
         return self._read_drawer() != ""
 
     @during_motion
@@ -211,7 +211,8 @@ class InhecoDriver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """The plate is felt when the drawer closes; while it is open, and after a reset, nobody knows."""
+        """The plate is detected when the drawer closes. It is unknown while the drawer is open and after a
+        reset; ``labware`` is left out then, and ``door`` while the drawer moves."""
         drawer, plate = self._read_drawer(), self._detect_plate()
         seen: dict[str, Any] = {"shaking": self._read_shaker() != "0"}
         if drawer:
@@ -224,10 +225,10 @@ class InhecoDriver(Wired):
         answer = self._ask("RLW", "[0178]")
         return answer == protocol.PLATE if answer in (protocol.PLATE, protocol.NO_PLATE) else None
 
-    # -- one question ------------------------------------------------------------------------
+    # -- one command -------------------------------------------------------------------------
 
     def _ask(self, command: str, form: str, limit_s: float = 0.0) -> str:
-        """Raises Refused, and Garbled for what cannot be the answer."""
+        """The text of the answer to a command. Raises Refused, and Garbled if it does not fit ``form``."""
         message = self.link.exchange(
             protocol.make_command(command, self._floor, self._device),
             limit_s or self.limit_s("answer", ANSWER_S),
@@ -240,8 +241,8 @@ class InhecoDriver(Wired):
         return text
 
     def _order(self, command: str, limit_s: float = 0.0, *, again: bool = False) -> None:
-        """Send a command. ``again``: a device that was reset reports that once, in place of carrying out the
-        command; it is then sent again."""
+        """Send a command whose answer has no text. A device that was reset reports this once, and does not
+        carry out the command. With ``again``, the command is then sent again. Raises Refused, Garbled."""
         try:
             self._ask(command, "", limit_s)
         except Refused as error:
@@ -260,7 +261,7 @@ class InhecoDriver(Wired):
             time.sleep(POLL_S)
 
     def _recognise(self) -> str:
-        """By its kind; an incubator that was just switched on says so first."""
+        """The identity, by the answer to ``RTS``. An incubator may report first that it was switched on."""
         try:
             self._ask("RTS", "[0-3]")
         except Refused as error:
@@ -270,7 +271,7 @@ class InhecoDriver(Wired):
         return WHO
 
     def _read_serial(self) -> str:
-        """Empty if this incubator does not tell it. One that was just switched on may tell that first."""
+        """The serial number; empty if the incubator reports none. It may first report that it was reset."""
         for _ in range(2):
             try:
                 return self._ask("RFV2", "[ -~]*")

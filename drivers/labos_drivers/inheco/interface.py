@@ -1,4 +1,4 @@
-"""What the incubator offers."""
+"""The node of the incubator: its station, variables and actions."""
 
 from __future__ import annotations
 

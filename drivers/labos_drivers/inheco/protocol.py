@@ -1,8 +1,8 @@
-"""The incubator on its wire: binary frames with a check sum, answers without one.
+"""The protocol of the incubator: commands are binary frames with a check sum, answers have none.
 
-19200 baud, 8N1, DTR and RTS off. A question is its length, 0x30 + id, 0xC0 + the length of the text, the
-text and a check sum; the text is ``T0``, the floor, three letters and arguments. An answer is 0xB0 + id and
-text, as often as there is text, then 0xB0 + id, 0x20 + an error, 0x60.
+19200 baud, 8N1, DTR and RTS off. A command is its length (without this byte), 0x30 + id, 0xC0 + the length of
+the text, the text and a check sum. The text is ``T0``, the floor, three letters and arguments. An answer
+begins with parts of 0xB0 + id and text, if it has text. It ends with 0xB0 + id, 0x20 + error code, 0x60.
 
 Sources: PyLabRobot/pylabrobot, pylabrobot/storage/inheco/incubator_shaker_backend.py;
 AD-SDL/inheco_incubator_module.
@@ -44,7 +44,7 @@ SHAKES, RUNS_DOWN = "1", "2"
 
 
 def check_sum(data: bytes) -> int:
-    """Eight bits, from 0xA1, least significant bit first, with the feedback 0x18."""
+    """The check sum: eight bits, start value 0xA1, least significant bit first, feedback 0x18."""
     register = 0xA1
     for byte in data:
         for bit in range(8):
@@ -54,20 +54,20 @@ def check_sum(data: bytes) -> int:
 
 
 def make_command(command: str, floor: int, device: int = USUAL_ID) -> bytes:
-    """As a host sends it."""
+    """A command as the host sends it."""
     text = f"T0{floor}{command}".encode("ascii")
     head = bytes((len(text) + 3, 0x30 + device, 0xC0 + len(text)))
     return head + text + bytes((check_sum(head + text),))
 
 
 def make_answer(text: str, error: int, device: int = USUAL_ID) -> bytes:
-    """As the device says it."""
+    """An answer as the device sends it."""
     head = bytes((0xB0 + device,))
     return (head + text.encode("ascii") if text else b"") + head + bytes((0x20 + error, END))
 
 
 class Answers:
-    """Takes answers of one stack out of what has come: the text, with the byte of the error before it."""
+    """The framing for answers of one stack. Each is taken as a byte with the error code, and the text."""
 
     def __init__(self, device: int) -> None:
         self._head = 0xB0 + device

@@ -1,4 +1,4 @@
-"""A simulated incubator shaker."""
+"""A simulated incubator shaker on the bench."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ OPENS_S, CLOSES_S = 6.0, 7.0
 
 
 class InhecoSimulator(Gated):
-    """A drawer, closed when it leaves the factory, a heater and a shaker under it."""
+    """The simulated incubator: a drawer, closed as shipped, with a heater and a shaker under the plate."""
 
     variable = "door"
 
@@ -56,7 +56,7 @@ class InhecoSimulator(Gated):
             self.shaking = False
 
     def read_status(self) -> dict[str, Any]:
-        """The plate is felt when the drawer is closed."""
+        """The status. ``plate`` is None while the drawer is open, because the plate is not detected then."""
         plate = bool(self.top(self.place("default"))) if self.is_closed() else None
         return {
             "door": "closed" if self.is_closed() else "open",

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the incubator."""
+"""The declaration of the incubator for the torture suite."""
 
 from __future__ import annotations
 

@@ -20,8 +20,9 @@ STARTS_S, RUNS_DOWN_S = 1.0, 2.0
 
 
 class InhecoOnWire(OnWire):
-    """What the device is and does. ``started``: it has been switched on and initialised before; else its
-    first answer tells of a reset. Its drawer may be ``jammed``, its heater broken."""
+    """The simulated device. ``started``: it was switched on and initialised before; otherwise its first
+    answer reports a reset. ``jammed``: its drawer does not complete a motion. ``heater_broken``: it does not
+    heat."""
 
     serial = "2100.0123"
 
@@ -42,7 +43,7 @@ class InhecoOnWire(OnWire):
         self._received = b""
 
     def pull(self, *, open_: bool) -> None:
-        """Somebody moves the drawer by hand."""
+        """A person moves the drawer by hand."""
         self.drawer = "1" if open_ else "0"
         self.world.gate("somebody", self.place("default"), shut=not open_)
 
@@ -51,7 +52,7 @@ class InhecoOnWire(OnWire):
     def receive(self, data: bytes) -> None:
         self._received += data
         while self._received and len(self._received) > self._received[0] > 3:
-            size = self._received[0] + 1  # its length does not count itself
+            size = self._received[0] + 1  # the length does not include its own byte
             frame, self._received = self._received[:size], self._received[size:]
             self._take(frame)
         if self._received and self._received[0] <= 3:
@@ -59,7 +60,7 @@ class InhecoOnWire(OnWire):
 
     def _take(self, frame: bytes) -> None:
         if frame[1] != 0x30 + protocol.USUAL_ID:
-            return  # another stack is meant
+            return  # the command is for another stack
         text = frame[3:-1].decode("ascii", "replace")
         if frame[-1] != protocol.check_sum(frame[:-1]) or frame[2] != 0xC0 + len(text):
             self._answer("", 4)
@@ -116,7 +117,7 @@ class InhecoOnWire(OnWire):
             return "7"
         return protocol.PLATE if self.top(self.place("default")) else protocol.NO_PLATE
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- carrying commands out ---------------------------------------------------------------
 
     def _initialise(self) -> int:
         self.forget_plans()
@@ -202,4 +203,4 @@ class InhecoOnWire(OnWire):
         self.shaker = "0"
 
     def damage(self, crash: Crash) -> None:
-        """It notices nothing."""
+        """Does nothing, because the incubator does not notice a collision."""

@@ -1,4 +1,4 @@
-"""Drives a real STX over its serial port."""
+"""The driver of the STX incubator, over its serial port."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ NAMED_SLOT = re.compile(r"stacker(\d+)_slot(\d+)")
 
 
 class LiconicDriver(Wired):
-    """Commands of the device. ``OK`` is not the end of a motion: that is seen by its plate sensors, and
-    by the ready flag, which may still show the state before."""
+    """Commands of the device. Its answer ``OK`` does not mean that a motion has ended. The plate sensors and
+    the ready flag show the end. Just after a command, the flag may still show the old state."""
 
     deadlines = ("answer", "begin", "move", "start")
     link: Link
 
     def __init__(self, setup: Setup, port: str, simulator: DeviceOnWire | None = None) -> None:
         super().__init__(setup, port, simulator)
-        # A pseudo-terminal takes even parity once; who connects again is refused.
+        # A pseudo-terminal accepts even parity only when it is first opened; connecting again would fail.
         real = simulator is None
         self.link = Link(
             make_serial_wire(setup, port, baudrate=protocol.BAUDRATE, parity="E")
@@ -47,7 +47,7 @@ class LiconicDriver(Wired):
 
     @off_loop
     def load_plate(self, stacker: int, slot: int) -> None:
-        """Move a plate from the transfer station into a slot."""
+        """Move a plate from the transfer station into a slot. Raises DeviceError."""
         with self.motion():
             self._check_relay(
                 protocol.ON_STATION, True, "no plate stands on the transfer station", "Put one there."
@@ -56,21 +56,21 @@ class LiconicDriver(Wired):
 
     @off_loop
     def unload_plate(self, stacker: int, slot: int) -> None:
-        """Move a plate from a slot to the transfer station."""
+        """Move a plate from a slot to the transfer station. Raises DeviceError."""
         with self.motion():
             self._unload(stacker, slot)
 
     @off_loop
     def store(self) -> str:
-        """The controller keeps no inventory, and does not notice an occupied slot: it chooses none. Raises
-        DeviceError."""
+        """Always raises DeviceError. The controller keeps no inventory and does not detect an occupied slot.
+        So it cannot choose a free one."""
         raise self.make_refusal(
             "this device does not choose slots", "Name the stacker and the slot: load_plate."
         )
 
     @off_loop
     def retrieve(self, slot: str) -> None:
-        """Bring the plate from a slot, by its name."""
+        """Move the plate from the slot with this name to the transfer station. Raises DeviceError."""
         named = NAMED_SLOT.fullmatch(slot)
         if named is None:
             raise self.make_refusal(f"{slot!r} names no slot", "Name it as stacker1_slot7.")
@@ -79,7 +79,7 @@ class LiconicDriver(Wired):
 
     @off_loop
     def empty_shovel(self) -> None:
-        """Bring what is on the shovel to the transfer station."""
+        """Move the plate from the shovel to the transfer station. Raises DeviceError."""
         with self.motion():
             self._check_relay(
                 protocol.ON_SHOVEL, True, "no plate is on the shovel", "Look where the plate is."
@@ -94,7 +94,7 @@ class LiconicDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Clear an error and start anew: the shovel, the lift and the carousel find their ends."""
+        """Clear an error and initialise the device: it homes the shovel, the lift and the carousel."""
         self._ask(b"CR")
         self._write_relay(protocol.RESET)
         time.sleep(RESET_PAUSE_S)
@@ -104,7 +104,7 @@ class LiconicDriver(Wired):
 
     @during_motion
     def is_idle(self) -> bool:
-        """A unit that was just switched on is not ready until it has been reset."""
+        """Whether the device is ready. After it was switched on, it is not ready until it has been reset."""
         return self._read_relay(protocol.READY)
 
     @during_motion
@@ -145,7 +145,7 @@ class LiconicDriver(Wired):
 
     @off_loop
     def shake(self, speed: int) -> None:
-        """0 stops. The public drivers disagree on the scale of the speed: this is the plain number."""
+        """Shake; 0 stops. The speed is sent unscaled, because the public drivers disagree on its scale."""
         if speed:
             self._write_word(protocol.SHAKER, speed)
         self._write_relay(protocol.SHAKING, bool(speed))
@@ -159,7 +159,7 @@ class LiconicDriver(Wired):
         self._transfer(protocol.EXPORT, stacker, slot, arrives=True)
 
     def _transfer(self, order: int, stacker: int, slot: int, *, arrives: bool) -> None:
-        """Move a plate to the transfer station (``arrives``) or from it."""
+        """Move a plate to the transfer station (``arrives``) or from it. ``order`` is the relay for it."""
         if self._read_relay(protocol.ERROR):
             raise self._make_error("none")
         self._check_relay(protocol.READY, True, "it is not ready", "Wait, or reset the module.")
@@ -174,7 +174,7 @@ class LiconicDriver(Wired):
             self._write_relay(protocol.END_OF_ACCESS)
 
     def _check_sensors(self, arrives: bool, where: str) -> None:
-        """Check where the plate is: that the controller is ready again says only that it stands still. Raises
+        """Check with the sensors where the plate is. The ready flag shows only that nothing moves. Raises
         DeviceError."""
         if self._read_relay(protocol.ON_STATION) != arrives or self._read_relay(protocol.ON_SHOVEL):
             raise DeviceError(
@@ -186,9 +186,9 @@ class LiconicDriver(Wired):
     def _await_end(
         self, shows: Callable[[], bool], limit_s: float | None = None, *, begins: bool = True
     ) -> None:
-        """Until it is ready again: it has to be seen busy, or a sensor has to show what was done. Just after
-        a command, "ready" may still be the state before; only a motion that need not begin (``begins`` is
-        false) is over if it is ready for ``BEGIN_S``. Raises DeviceError."""
+        """Wait for the end of a motion: the device is ready, and was busy before or ``shows`` returns true (a
+        sensor shows the result). Just after a command, "ready" may still be the old state. If it is ready for
+        ``BEGIN_S`` without these, it did not move: an error only if ``begins``. Raises DeviceError."""
         limit_s = self.limit_s("move", MOVE_S) if limit_s is None else limit_s
         began = time.monotonic()
         was_busy = False
@@ -258,6 +258,6 @@ class LiconicDriver(Wired):
             raise Garbled(f"{self.name}: {answer!r} is no answer to {command.decode()}.")
 
     def _recognise(self, link: Link) -> str:
-        """Only a controller of this kind opens the conversation like this."""
+        """Open the connection; returns the kind of the device. Only an STX answers ``CR`` with ``CC``."""
         answer = link.exchange(b"CR", self.limit_s("answer", ANSWER_S))
         return WHO if answer == b"CC" else f"what answers {answer!r}"

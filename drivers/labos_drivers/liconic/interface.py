@@ -1,4 +1,4 @@
-"""What the Liconic offers."""
+"""The node of the Liconic incubator: its stations, variables and actions."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The STX controller on its wire: a PLC whose relays and words are read and written.
+"""The serial protocol of the STX controller. It is a PLC: a host reads and writes its relays and words.
 
-9600 baud, 8 data bits, even parity, 1 stop bit. Questions end with a carriage return, answers with
-carriage return and line feed; one question, one answer. ``CR`` opens the conversation (answer ``CC``);
-before it every question is answered ``E1``.
+9600 baud, 8 data bits, even parity, 1 stop bit. A question ends with a carriage return, an answer with a
+carriage return and a line feed. Each question has one answer. The letters ``CR`` open the connection (answer
+``CC``). Before that, the controller answers every question with ``E1``.
 
 Sources: PyLabRobot/pylabrobot, pylabrobot/legacy/storage/liconic; the PyPI package open-liconic-stx
 0.1.0; AD-SDL/liconic_module.
@@ -51,7 +51,8 @@ generation of the firmware."""
 
 
 def meaning_of(code: int) -> str:
-    """The first hundred are faults, further ones the step of a motion in which it failed."""
+    """The meaning of an error code. Codes from 100 on are a kind of motion (the hundreds) and the step in
+    which it failed; smaller codes are other faults."""
     phase = {1: "importing", 2: "exporting", 3: "removing", 4: "reading a barcode", 5: "placing"}
     if code in MEANINGS:
         return MEANINGS[code]

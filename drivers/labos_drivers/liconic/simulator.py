@@ -1,4 +1,4 @@
-"""A simulated STX88."""
+"""A simulated STX88 incubator, without a wire."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def slot_name(stacker: int | str, slot: int | str) -> str:
 
 
 class LiconicSimulator(Simulated):
-    """A shovel between the transfer station and the slots; the controller keeps no inventory."""
+    """A shovel moves plates between the transfer station and the slots. The controller keeps no inventory:
+    ``store`` and ``retrieve`` look at the simulated bench."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -61,7 +62,8 @@ class LiconicSimulator(Simulated):
         await self._shovel(slot_name(stacker, slot), "exchange", 18)
 
     async def store(self) -> str:
-        """Take the plate from the transfer station into the lowest free slot; returns the slot."""
+        """Move the plate from the transfer station into the lowest free slot of the last stacker; returns the
+        slot's name. Raises DeviceError if no slot is free."""
         for number in range(1, SLOTS + 1):
             slot = slot_name(OWN, number)
             if not self.world.at(self.place(slot)):
@@ -70,7 +72,8 @@ class LiconicSimulator(Simulated):
         raise self.make_refusal(f"stacker {OWN} is full", "Take a plate out first.")
 
     async def retrieve(self, slot: str) -> None:
-        """Bring the plate from the slot that ``store`` told; without one, the only plate there is."""
+        """Move the plate from the slot that ``store`` returned to the transfer station. Without a slot, move
+        the only plate of the last stacker. Raises DeviceError if it does not hold exactly one."""
         if not slot:
             full = [s for s in (slot_name(OWN, n) for n in range(1, SLOTS + 1)) if self.top(self.place(s))]
             if len(full) != 1:
@@ -103,7 +106,7 @@ class LiconicSimulator(Simulated):
             await self.take_time(0.3 * nominal_s)
 
     def observe(self) -> dict[str, Any]:
-        """Two plate sensors: shovel and transfer station."""
+        """Whether it shakes, and what the plate sensors of the shovel and the transfer station see."""
         return {
             "shaking": bool(self.shaking),
             "labware": {

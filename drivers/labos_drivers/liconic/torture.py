@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the STX."""
+"""The declaration of the STX incubator for the torture suite."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TORTURE = Torture(
         Fault("no plate on the transfer station", remove_plate("exchange")),
         Fault("a plate in the slot already", occupy("stacker1_slot2")),
     ),
-    settings={"parity": "N"},  # a pseudo-terminal takes even parity once; who connects again is refused
+    settings={"parity": "N"},  # a pseudo-terminal accepts even parity only when it is first opened
     motion="load_plate",
     waits={f"{HERE}:START_S": 10.0, f"{HERE}:MOVE_S": 10.0},
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_pylabrobot.py"),),

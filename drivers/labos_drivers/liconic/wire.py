@@ -1,4 +1,4 @@
-"""A simulated STX at the far end of a serial line: a PLC with a shovel behind it."""
+"""A simulated STX at the far end of a serial line: a PLC that controls a shovel."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ EXPORT_BLOCKED, NO_PLATE, GENERAL = 13, 16, 1
 
 
 class LiconicOnWire(OnLine):
-    """What the device is and does. ``started``: it has been switched on and initialised before. ``stale_s``:
-    so long after a reset or start its ready flag shows the state before."""
+    """The state and the behaviour of the device. ``started``: it is switched on and initialised. ``stale_s``:
+    for this time after a start (lab s), its ready flag shows the old state, also if it was reset before."""
 
     line_end = b"\r"
 
@@ -33,7 +33,7 @@ class LiconicOnWire(OnLine):
         self._climate = {word: Settling(value, SETTLES_S, self.now_s) for word, value in self.words.items()}
 
     def power_cycle(self) -> None:
-        """Off and on: the conversation is closed, and the device has to be initialised."""
+        """Switch off and on. The connection is closed then, and the device is not initialised."""
         self._is_open = self.ready = False
 
     # -- receiving ---------------------------------------------------------------------------
@@ -123,7 +123,7 @@ class LiconicOnWire(OnLine):
         self.ready = False
         self.after(15, finish_initialising)
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- carrying commands out ---------------------------------------------------------------
 
     def _begin(self, source: str, target: str, nominal_s: float) -> None:
         self.ready = False

@@ -1,4 +1,4 @@
-"""Drives a real MiR through its REST interface."""
+"""The driver of a MiR, by its REST interface."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ ENDED = {
 
 
 class MiRDriver(Wired):
-    """Each journey is an entry in the robot's queue that bears a name of ours, under which it is found
-    again; only that entry is watched, for others may use the queue too."""
+    """The driver of a MiR. Each journey is an entry in the robot's queue, with a name by which the driver
+    finds it again. The driver watches only this entry, because others may also use the queue."""
 
     deadlines = ("answer", "drive", "lost")
     where = ("url", "http://192.168.12.20")
@@ -62,8 +62,8 @@ class MiRDriver(Wired):
 
     @off_loop
     def follow(self, name: str) -> None:
-        """Wait for the end of the journey that was queued under this name. Raises OutcomeUnknown if the robot
-        does not know it."""
+        """Wait for the end of the journey that was queued with this name. Raises DeviceError, and
+        OutcomeUnknown if the robot does not know the journey."""
         with self.motion():
             entry = self._find_entry(name)
             if entry is None:
@@ -72,8 +72,8 @@ class MiRDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Clears an error and a pause. A journey of ours that was broken off is given up before, or the robot
-        would go on with it by itself."""
+        """Clear an error and a pause. Before this, an interrupted journey of the driver is removed from the
+        queue: otherwise the robot would continue it by itself. Raises DeviceError."""
         self.resume()
         self._give_up()
         self._ask("PUT", "/status", {"clear_error": True})
@@ -87,7 +87,7 @@ class MiRDriver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """The robot stops, and gives its journey up."""
+        """Stop the robot, and remove the driver's journey from its queue."""
         self._halted.set()
         self._set_state(protocol.PAUSE)
         self._give_up()
@@ -98,7 +98,7 @@ class MiRDriver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """The position of its map at which it stands; empty if none is near."""
+        """The position on its map at which the robot stands; empty if none is near."""
         status = self._read_status()
         near = {
             self._measure_distance(status, position): str(position.get("name"))
@@ -135,8 +135,8 @@ class MiRDriver(Wired):
                     self._refuse_elsewhere(position)
 
     def _refuse_elsewhere(self, position: dict[str, Any]) -> None:
-        """Raises DeviceError if it rests elsewhere. One that drives again has been there, and is under way
-        for somebody else by now."""
+        """Raises DeviceError if the robot is not at the position. A robot that drives again is not checked:
+        it has completed this journey, and now carries out a mission of another user."""
         status = self._retry(self._read_status)
         if (
             status["state_id"] != protocol.EXECUTING
@@ -167,7 +167,7 @@ class MiRDriver(Wired):
         with self.under_way():
             while True:
                 if self._halted.is_set():
-                    self._give_up()  # it may have been queued just after the stop
+                    self._give_up()  # the entry may have been queued just after the stop
                 answer = self._retry(lambda: self._ask("GET", f"/mission_queue/{entry}"))
                 state = answer.get("state")
                 if state == protocol.DONE:
@@ -193,7 +193,7 @@ class MiRDriver(Wired):
         self._entry = 0
 
     def _give_up(self) -> None:
-        """Remove our entry from the queue, if there is one."""
+        """Remove the driver's entry from the queue, if there is one. Raises DeviceError."""
         if entry := self._entry:
             reply = self.link.exchange("DELETE", f"/mission_queue/{entry}", timeout_s=self._answer_s)
             if reply.status != 404:
@@ -201,14 +201,14 @@ class MiRDriver(Wired):
             self._entry = 0
 
     def _find_entry(self, name: str) -> int | None:
-        """The entry of the queue with this message."""
+        """The id of the queue entry with this name as its message; None if there is none."""
         wanted = {"filters": [{"fieldname": "message", "operator": "=", "value": name}]}
         found = self._ask_list("POST", "/mission_queue/search", wanted)
         return int(found[-1]["id"]) if found else None
 
     def _find_mission(self, kind: str, position: str) -> str:
-        """The mission for a position, which is made once: the robot keeps all missions. One that was
-        interrupted while it was made has no step yet."""
+        """The guid of the mission for a position. It is made only once, because the robot keeps all missions.
+        If making it was interrupted, the mission has no step yet, and gets it now."""
         name = f"labos {kind} {position}"
         wanted = {"filters": [{"fieldname": "name", "operator": "=", "value": name}]}
         found = self._ask_list("POST", "/missions/search", wanted)
@@ -224,10 +224,11 @@ class MiRDriver(Wired):
         return self._ask("POST", "/missions", body)
 
     def _retry(self, ask: Any) -> Any:
-        """Ask again a robot that cannot be reached for a while, as between two access points."""
+        """The answer of a robot that may be unreachable for a while, for example between access points. It is
+        asked again for ``LOST_S``."""
         return self.ask_again(ask, self.limit_s("lost", LOST_S), POLL_S)
 
-    # -- one answer --------------------------------------------------------------------------
+    # -- requests and answers ----------------------------------------------------------------
 
     def _read_status(self) -> dict[str, Any]:
         status = self._ask("GET", "/status")
@@ -272,8 +273,8 @@ class MiRDriver(Wired):
         return self._parse_data(self.link.exchange(method, path, json=body, timeout_s=self._answer_s))
 
     def _parse_data(self, reply: HttpReply) -> Any:
-        """Raises DeviceError for a refusal, Garbled for what is no answer of a MiR, and where its server
-        failed, which does not tell what came of the question."""
+        """The data of a reply. Raises DeviceError if the robot refuses. Raises Garbled if a reply with
+        success is not JSON, or if the server failed: it may have carried out the request."""
         if reply.ok:
             return reply.json() if reply.body else {}
         if reply.status >= 500:
@@ -285,7 +286,8 @@ class MiRDriver(Wired):
         raise self.make_refusal(f"the robot refuses: {why}", "Check the robot.")
 
     def _ask_list(self, method: str, path: str, body: Any = None) -> list[Any]:
-        """Of an answer that is a list: only an empty list says that there is nothing. Raises DeviceError."""
+        """The data of an answer that is a list. Only an empty list means that there is nothing. Raises
+        DeviceError, and Garbled for anything but a list."""
         reply = self.link.exchange(method, path, json=body, timeout_s=self._answer_s)
         data = self._parse_data(reply)
         if not isinstance(data, list):
@@ -308,7 +310,7 @@ class MiRDriver(Wired):
 
 
 def _describe_errors(status: dict[str, Any]) -> str:
-    """The errors that the robot reports, in brackets."""
+    """The errors that the robot reports, in brackets; empty if there are none."""
     reasons = [
         str(error.get("description")) for error in status.get("errors") or () if isinstance(error, dict)
     ]

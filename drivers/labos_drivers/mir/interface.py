@@ -1,4 +1,4 @@
-"""What the MiR offers."""
+"""The node of the MiR: its station and actions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The MiR's REST interface, version 2.0.0: what its numbers mean, and how a user is named.
+"""The MiR's REST interface, version 2.0.0: the meaning of its numbers, and the contents of requests.
 
 Sources: AD-SDL/mir_module, src/mir_interface/mir_interface.py and MiR *API Features* rev 02 there;
 JanJericevic/MiRco_robot; wiesenklee/mir250-demo; InOrbit's public connector (recorded status);
@@ -24,13 +24,14 @@ MOVE_M = 0.1
 
 
 def make_authorization(user: str, password: str) -> str:
-    """The header of a user. It is not the usual basic scheme: a digest stands in place of the password."""
+    """The header ``Authorization`` of a user. It differs from the usual scheme Basic: it contains a SHA-256
+    digest of the password, not the password."""
     digest = hashlib.sha256(password.encode()).hexdigest()
     return "Basic " + base64.b64encode(f"{user}:{digest}".encode()).decode()
 
 
 def make_steps(kind: str, position: str) -> dict[str, object]:
-    """The one action of a mission that moves to, or docks at, a position."""
+    """The only action of a mission: it moves to a position, or docks at it (``kind``)."""
     values: dict[str, object]
     if kind == "docking":
         values = {"marker": position, "retries": 10, "max_linear_speed": 0.3}

@@ -1,4 +1,4 @@
-"""A simulated MiR."""
+"""A simulated MiR on the bench."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos_drivers._simulation import Simulated
 
 
 class MiRSimulator(Simulated):
-    """A base whose deck is out of reach while it drives."""
+    """The simulated base. Its deck is out of reach while it drives."""
 
     drawers = ("deck",)
 

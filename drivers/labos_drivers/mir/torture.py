@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the MiR."""
+"""The declaration of the MiR for the torture suite."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ HERE = "labos_drivers.mir.driver"
 
 
 def _move_home(mir: MiROnWire, world: World) -> None:
-    """Somebody drives it home, so that it has the whole way before it each time."""
+    """A person drives the robot home, so that each motion has its full length."""
     mir.at = mir.positions["home"]
 
 

@@ -22,8 +22,8 @@ POSITIONS = {"charger": (0.0, 0.0), "bench1": (10.0, 4.0), "bench2": (22.0, 4.0)
 
 
 class MiROnWire(OnHttp):
-    """What the device is and does. ``positions`` of its configuration are those of its map;
-    ``is_blocked``: something stands in its way."""
+    """The simulated robot. ``positions`` in its configuration are those of its map. ``is_blocked``: an
+    obstacle is in its way."""
 
     drawers = ("deck",)
 
@@ -109,7 +109,7 @@ class MiROnWire(OnHttp):
                 self._start_next()
         return Reply(200, self._make_status())
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- carrying requests out ---------------------------------------------------------------
 
     def _add(self, body: dict[str, Any]) -> Reply:
         if body["mission_id"] not in self.missions:
@@ -125,7 +125,7 @@ class MiROnWire(OnHttp):
         return Reply(201, entry)
 
     def _start_next(self) -> None:
-        """Begin what waits longest, or go on with it."""
+        """Begin or continue the oldest entry of the queue that has not ended."""
         if self.state != protocol.READY or self.errors:
             return
         entry = next((e for e in self.queue if e["state"] in ("Executing", "Pending")), None)
@@ -147,7 +147,7 @@ class MiROnWire(OnHttp):
 
     def _arrive(self, entry: dict[str, Any], name: str, way: Any) -> None:
         if self._way is not way:
-            return  # it was halted on its way
+            return  # the robot stopped before it arrived
         self.at, self._way = self.positions[name], None
         self.world.work(self.name, "drive", target=name)
         entry["state"] = protocol.DONE
@@ -155,7 +155,7 @@ class MiROnWire(OnHttp):
         self._start_next()
 
     def _halt(self) -> None:
-        """The robot stops where it is."""
+        """Stop the robot at its present position."""
         self.at, self._way = self._compute_position(), None
 
     def _compute_position(self) -> tuple[float, float]:
@@ -179,12 +179,12 @@ class MiROnWire(OnHttp):
         self.world.leave(self.name)
 
     def press_stop(self) -> None:
-        """Somebody hits the emergency stop."""
+        """A person presses the emergency stop."""
         self._halt()
         self.state = protocol.EMERGENCY_STOP
 
     def fail(self, why: str) -> None:
-        """The robot finds no way."""
+        """Stop the robot, and report an error with the description ``why``."""
         self._halt()
         self.state = protocol.ERROR
         self.errors.append({"code": 101, "module": "Planner", "description": why})
@@ -210,7 +210,7 @@ class MiROnWire(OnHttp):
 
 
 def _search(request: Request, items: Any) -> list[dict[str, Any]]:
-    """The items that a search finds; only equality is understood."""
+    """The items that a search finds. Each filter is taken as a test for equality."""
     filters = request.json()["filters"]
     return [item for item in items if all(item.get(one["fieldname"]) == one["value"] for one in filters)]
 

@@ -1,4 +1,4 @@
-"""What a person can be asked to do by a workflow."""
+"""The node of a person: the actions that a workflow can request of a person."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Operator(Node):
         return self.device.observe() if self.device is not None else {}
 
     async def settle(self, action: str, done: bool) -> None:
-        """Somebody has confirmed it, or said that it cannot be done."""
+        """A person has confirmed the work of an action, or reported that it cannot be done."""
         settled = self._pending.get(action)
         if settled is not None and not settled.done():
             settled.set_result(done)
@@ -89,7 +89,8 @@ class Operator(Node):
         await self._await_done(600, lambda person: person.work("do", instruction))
 
     async def _await_done(self, nominal_s: float, work: Callable[[OperatorSimulator], None]) -> None:
-        """The work goes on until the lab says that it is settled, or the simulated person is done."""
+        """Wait until the lab reports the outcome, or until the simulated person has done the ``work``. Raises
+        DeviceError if the person reports that it cannot be done."""
         name = current_action.get()
         settled = self._pending[name] = asyncio.get_running_loop().create_future()
         try:

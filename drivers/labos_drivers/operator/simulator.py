@@ -13,9 +13,9 @@ USUAL, LATE = 0.6, 1.5
 
 
 class OperatorSimulator(Arm):
-    """Hands that carry plates. With the configuration ``alone: false`` they do nothing by
-    themselves: the person who confirms the work moves the plates of the simulated bench. ``late`` is how
-    often the work is late (0 to 1)."""
+    """A simulated person who carries plates. With ``alone: false`` in the configuration, this device does
+    nothing by itself: the person who confirms the work moves the plates on the simulated bench. ``late`` is
+    the share of work that is late (0 to 1)."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -23,7 +23,7 @@ class OperatorSimulator(Arm):
         self.late = float(self.config.get("late", 0.2))
 
     async def wait_until_settled(self, settled: asyncio.Future[bool], nominal_s: float) -> None:
-        """Wait until the work is done, or somebody has confirmed it before."""
+        """Wait until the simulated work is done, or until a person has reported its outcome before."""
         share = LATE if self._random.random() < self.late else USUAL
         working = asyncio.ensure_future(self.take_time(share * nominal_s))
         try:
@@ -37,7 +37,8 @@ class OperatorSimulator(Arm):
         self._let_go(target)
 
     def refill(self, module: str, resource: str) -> None:
-        """Take out what is left in a device, and put in as much as it was given at first."""
+        """Fill a resource of a device up to the largest amount that it was supplied with. The level of a
+        resource that was never supplied stays unlimited."""
         device = module.rpartition("/")[2]
         left = self.world.find_level(device, resource) if device else None
         packs = [m for m in self.world.motions("supply") if m.place == device]

@@ -1,7 +1,7 @@
-"""What the expressions of a protocol in Python do with pipettes: the half of reading one that knows of calls.
+"""Evaluates the expressions of a Python protocol and counts the tips that its calls pick up.
 
-Tips are picked up by ``pick_up_tip`` and by the complex commands, which take one for all they do unless
-``new_tip`` says otherwise. A pipette, or the protocol itself, that gets out of sight is a doubt.
+``pick_up_tip`` picks up tips, and each complex command does so once, unless ``new_tip`` says otherwise. If a
+pipette, or the protocol itself, is passed to code that is not followed, the number of tips is in doubt.
 Source: docs.opentrons.com, Python Protocol API 2, "Pipette tips" and "Complex commands".
 """
 
@@ -38,11 +38,11 @@ UNHARMFUL = {"print", "len", "isinstance", "range", "next", "iter", "str", "type
 
 
 class Doubt(Exception):
-    """The reason why a number of tips is not certain, as half a sentence."""
+    """The reason why a number of tips is not certain, as a clause for a longer sentence."""
 
 
 class Protocol:
-    """The ``ProtocolContext``."""
+    """Stands for the ``ProtocolContext``, the argument of ``run``."""
 
 
 PROTOCOL: Final = Protocol()
@@ -55,7 +55,7 @@ class Pipette:
 
 
 class Function:
-    """A function of the protocol's own, with the names it sees."""
+    """A function that the protocol defines, with the scope around it."""
 
     def __init__(
         self, node: ast.FunctionDef, scope: Scope, defaults: dict[str, Any], inside: list[ast.AST]
@@ -89,8 +89,9 @@ class Returned(Exception):
 
 
 class Calls(ABC):
-    """Goes through expressions, and counts tips. ``where`` is the present line. While ``unsure`` has a
-    reason, what is read may be carried out or not; while ``bound`` has one, nothing may be left early."""
+    """Evaluates expressions and counts tips. ``where`` is the present line. While ``unsure`` has a reason, it
+    is not known whether the code that is read is carried out. While ``bound`` has a reason, ``return``,
+    ``break`` and ``continue`` raise Doubt."""
 
     def __init__(self) -> None:
         self.tips = 0.0
@@ -103,11 +104,11 @@ class Calls(ABC):
 
     @abstractmethod
     def read_all(self, body: Sequence[ast.stmt], scope: Scope) -> None:
-        """Go through statements."""
+        """Read statements in their order. Raises Doubt."""
 
     @abstractmethod
     def assign(self, target: ast.expr, value: Any, scope: Scope) -> None:
-        """Give names their values."""
+        """Assign a value to the target of an assignment."""
 
     def step(self) -> None:
         """Count one more statement. Raises Doubt if there are too many."""
@@ -116,23 +117,23 @@ class Calls(ABC):
             raise Doubt(f"it has more than {MOST_STEPS} steps")
 
     def find_tip_uses(self, node: ast.AST) -> list[ast.Attribute]:
-        """The places in a syntax tree at which tips are taken; looked for once."""
+        """The places in a syntax tree at which tips are taken. Each tree is searched only once."""
         if node not in self._takes:
             self._takes[node] = list(find_tip_uses(node))
         return self._takes[node]
 
     def walk(self, node: ast.AST) -> Iterator[ast.AST]:
-        """All parts of a syntax tree. Raises Doubt if too many were looked at."""
+        """All parts of a syntax tree. Raises Doubt if too many parts were looked at in all."""
         for part in ast.walk(node):
             self._looked_at += 1
             if self._looked_at > MOST_LOOKED_AT:
                 raise Doubt("it is too long")
             yield part
 
-    # -- what an expression is worth ---------------------------------------------------------
+    # -- values of expressions ---------------------------------------------------------------
 
     def evaluate(self, node: ast.expr, scope: Scope) -> Any:
-        """The value of an expression. Raises Doubt."""
+        """The value of an expression; UNKNOWN if it cannot be determined. Raises Doubt."""
         match node:
             case ast.Constant():
                 return node.value
@@ -207,7 +208,7 @@ class Calls(ABC):
         return apply(COMPARISONS[type(node.ops[0])], *sides)
 
     def _evaluate_logic(self, node: ast.BoolOp, scope: Scope) -> Any:
-        """``a and b``, ``a or b``: later parts are evaluated only if needed."""
+        """The value of ``a and b`` or ``a or b``. Later parts are evaluated only if needed."""
         value: Any = UNKNOWN
         for number, part in enumerate(node.values):
             value = self.evaluate(part, scope)
@@ -221,7 +222,7 @@ class Calls(ABC):
         return value
 
     def _evaluate_list(self, node: ast.ListComp, scope: Scope) -> Any:
-        """A list comprehension: a list of known length, whatever its items are."""
+        """The list of a comprehension with one loop of known length and no condition; else UNKNOWN."""
         (first, *more) = node.generators
         items = self.list_items(self.evaluate(first.iter, scope))
         if items is None or more or first.ifs:
@@ -235,7 +236,7 @@ class Calls(ABC):
         return found
 
     def list_items(self, value: Any) -> Sequence[Any] | None:
-        """The items that a loop goes through; None if they are not known."""
+        """The items of a loop over this value; None if they are not known."""
         if id(value) in self._spoiled or not isinstance(value, list | tuple | range | dict | str):
             return None
         return value if isinstance(value, range) else list(value)
@@ -265,7 +266,7 @@ class Calls(ABC):
         return self._call_unknown(name or "the called function", [*args, *named.values()])
 
     def _call_unknown(self, name: str, given: list[Any]) -> Any:
-        """A call that cannot be followed: it must not get a pipette."""
+        """UNKNOWN, for a call that cannot be followed. Raises Doubt if its arguments let it take tips."""
         for part in parts_of(given):
             if isinstance(part, Pipette | Protocol):
                 raise Doubt(f"line {self.where}: what `{name}` does with a pipette cannot be determined")
@@ -321,7 +322,7 @@ class Calls(ABC):
         return pipette
 
     def enter(self, function: Function, args: list[Any], named: dict[str, Any], spread: bool = False) -> Any:
-        """Go through a function of the protocol's own; returns its result. Raises Doubt."""
+        """Follow a function that the protocol defines; returns its result. Raises Doubt."""
         node, inner = function.node, Scope(function.scope)
         if function.yields:
             return self._call_unknown(node.name, [function, *args, *named.values()])
@@ -335,7 +336,7 @@ class Calls(ABC):
         self._depth += 1
         if self._depth > DEEPEST:
             raise Doubt(f"line {node.lineno}: `{node.name}` calls itself")
-        before, self.bound = self.bound, ""  # coming back early is the function's own affair
+        before, self.bound = self.bound, ""  # a return leaves only this function
         try:
             self.read_all(node.body, inner)
         except Returned as returned:
@@ -344,11 +345,11 @@ class Calls(ABC):
             self._depth, self.bound = self._depth - 1, before
         return None
 
-    # -- what is not followed ----------------------------------------------------------------
+    # -- code that is not followed -----------------------------------------------------------
 
     def forget(self, node: ast.AST, scope: Scope) -> None:
-        """Pass over what is done nobody knows how often: names that it sets are unknown, and it may not
-        take tips."""
+        """Pass over code that is carried out an unknown number of times. Names that it sets become UNKNOWN,
+        and values that it names are spoiled. Raises Doubt if it may take tips."""
         for first in self.find_tip_uses(node):
             raise Doubt(f"line {first.lineno}: only the robot knows how often `{first.attr}` is done")
         for inner in self.walk(node):
@@ -363,7 +364,8 @@ class Calls(ABC):
                 self._check_call(inner, scope)
 
     def _check_call(self, call: ast.Call, scope: Scope) -> None:
-        """A call that is passed over must not get a pipette, unless the function is the protocol's own."""
+        """Raise Doubt if a call that is not followed gives a pipette to a function that the protocol does not
+        define."""
         if isinstance(call.func, ast.Name) and isinstance(scope.find(call.func.id), Function):
             return
         for arg in (*call.args, *(key.value for key in call.keywords)):
@@ -373,14 +375,14 @@ class Calls(ABC):
                     raise Doubt(f"line {call.lineno}: what is done with a pipette there cannot be determined")
 
     def spoil(self, value: Any) -> None:
-        """From now on nobody knows what a list or table holds, or whether a pipette has a tip."""
+        """Mark the content of a list or dict, or whether a pipette has a tip, as unknown from now on."""
         if isinstance(value, list | dict):
             self._spoiled[id(value)] = value
         if isinstance(value, Pipette):
             value.has_tip = UNKNOWN
 
     def check_takes_no_tips(self, value: Any) -> None:
-        """A function of the protocol's own, called where it cannot be followed, may not take tips."""
+        """Raise Doubt if the value is a function that takes tips, itself or by functions that it names."""
         open_, seen = [value], set()
         while open_:
             function = open_.pop()
@@ -396,7 +398,7 @@ class Calls(ABC):
 
     @contextmanager
     def suppose(self, why: str) -> Iterator[None]:
-        """What is read meanwhile may be carried out or not."""
+        """Inside this context, it is not known whether the code that is read is carried out (``why``)."""
         before = self.unsure, self.bound
         self.unsure, self.bound = self.unsure or why, why
         try:
@@ -406,7 +408,7 @@ class Calls(ABC):
 
 
 def count_channels(name: str) -> int:
-    """How many tips a pipette of this name picks up at once."""
+    """The number of tips that a pipette of this name picks up at once."""
     return 96 if "_96" in name else 8 if "_multi" in name or "_8channel" in name else 1
 
 
@@ -418,7 +420,7 @@ def find_tip_uses(node: ast.AST) -> Iterator[ast.Attribute]:
 
 
 def is_defined(scope: Scope | None, name: str) -> bool:
-    """Whether a name has a value."""
+    """Whether a name has a value in a scope or in one around it."""
     while scope is not None:
         if name in scope:
             return True

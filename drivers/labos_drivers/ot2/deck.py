@@ -1,7 +1,7 @@
-"""What a robot must be told of its deck beside the protocol: labware offsets, and labware of the lab's own.
+"""What a robot needs for its deck besides the protocol: labware offsets, and the lab's labware definitions.
 
-Without the offsets that were measured on this robot (Labware Position Check of its App), its pipettes go to
-where labware should stand, not to where it stands.
+The offsets are measured on this robot with Labware Position Check of its App. Without them, its pipettes go
+to the nominal position of labware, and not to its real position.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OFFSET_KEYS = frozenset({"labware", "slot", "x", "y", "z"})
 
 
 def read_offsets(name: str, config: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """``labware_offsets:`` of the configuration, as ``POST /runs`` takes them. Raises BadInput."""
+    """``labware_offsets:`` of the configuration, in the form for ``POST /runs``. Raises BadInput."""
     configured = config.get("labware_offsets") or []
     if not isinstance(configured, list):
         raise BadInput(f"{name}: `labware_offsets` is not a list.", remedy=_EXAMPLE)
@@ -34,8 +34,8 @@ def read_offsets(name: str, config: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def read_definitions(name: str, config: Mapping[str, Any]) -> list[tuple[str, bytes]]:
-    """The files of ``labware_definitions:`` (paths of JSON files, or of folders of them, on the node's
-    computer), by name. Raises BadInput."""
+    """Name and content of each file of ``labware_definitions:``. The entry lists paths of JSON files, or of
+    folders of them, on the node's computer. Raises BadInput."""
     configured = config.get("labware_definitions") or []
     paths = [configured] if isinstance(configured, str) else configured
     if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):

@@ -1,4 +1,4 @@
-"""Drives a real OT-2 through its robot server."""
+"""The driver of a real OT-2, which it controls through the robot server."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ WHO = "an OT-2"
 
 
 class OT2Driver(Wired):
-    """A protocol is uploaded and analysed, and a run of it made, before anything moves; only ``play``
-    moves. The robot names its run, under which it is found again."""
+    """Before anything moves, a protocol is uploaded and analysed, and a run of it is made. Only ``play``
+    starts the motion. The robot gives each run a name; the driver can find the run again by it."""
 
     deadlines = ("answer", "upload", "create", "analysis", "home", "begin", "lost")
     where = ("url", f"http://192.168.0.20:{protocol.PORT}")
@@ -60,12 +60,13 @@ class OT2Driver(Wired):
     def prepare(
         self, path: str, values: Mapping[str, Any], parameters: Mapping[str, Any] | None = None
     ) -> str:
-        """Upload the protocol, have it analysed and make a run; returns the robot's name for it. Nothing
-        moves. ``parameters`` are values for the protocol's own run-time parameters. Raises DeviceError."""
+        """Upload the protocol, wait for its analysis and make a run; returns the robot's name for the run.
+        Nothing moves. ``parameters`` are values for the protocol's own run-time parameters. Raises
+        DeviceError."""
         with self.motion(), self.report_no_effects():
             name, content = self._read_protocol(path, values)
             files = [("files", (name, content))]
-            if name.endswith(".py"):  # a JSON protocol has its definitions in itself
+            if name.endswith(".py"):  # a JSON protocol contains its definitions
                 files += [("files", definition) for definition in self._definitions]
             given = {"runTimeParameterValues": dict(parameters)} if parameters else {}
             form = {key: json.dumps(value) for key, value in given.items()}
@@ -83,7 +84,7 @@ class OT2Driver(Wired):
 
     @off_loop
     def carry_out(self, run: str) -> dict[str, Any]:
-        """Start a run and wait for its end."""
+        """Start a run and wait for its end; returns its name and status. Raises DeviceError."""
         with self.motion():
             self._run = run
             try:
@@ -95,8 +96,8 @@ class OT2Driver(Wired):
 
     @off_loop
     def follow(self, run: str) -> dict[str, Any]:
-        """Wait for the end of a run that was started before. Raises DeviceError, also if it never was, and
-        OutcomeUnknown if the robot does not know it any more."""
+        """Wait for the end of a run that was started before. Raises DeviceError, also if it was never
+        started. Raises OutcomeUnknown if the robot no longer knows the run."""
         with self.motion():
             self._run = run
             with self.under_way():
@@ -110,7 +111,7 @@ class OT2Driver(Wired):
 
     @during_motion
     def resume_run(self) -> None:
-        """Go on with a run that waits. Raises DeviceError."""
+        """Continue a run that waits. Raises DeviceError, also if no run can be resumed."""
         run = self._run or self._find_current_run()
         status = self._read_state(run)["status"] if run else protocol.IDLE
         action = protocol.RESUMED_BY.get(status)
@@ -126,16 +127,16 @@ class OT2Driver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """Cancels the run; the robot stops at once and homes its gantry."""
+        """Cancel the run. The robot stops at once and homes its gantry."""
         self._halted.set()
         if self._run:
             reply = self._act(self._run, "stop")
-            if reply.status not in (404, 409):  # it has ended by itself
+            if reply.status not in (404, 409):  # these mean that the run has already ended
                 self._parse_data(reply)
 
     @off_loop
     def reset(self) -> None:
-        """Cancels what runs, and homes the gantry."""
+        """Cancel the current run, if it has not ended, and home the gantry."""
         self.resume()
         run = self._find_current_run()
         if run and self._read_state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
@@ -151,7 +152,8 @@ class OT2Driver(Wired):
 
     @during_motion
     def is_idle(self) -> bool:
-        """A run that nobody here follows may wait for a person as well: then that is why it is not idle."""
+        """Whether the robot has no run in progress. Also sets ``waits_for``: a run that this node does not
+        follow can wait for a person too."""
         status = ""
         try:
             run = self._find_current_run()
@@ -162,13 +164,13 @@ class OT2Driver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """It has no sensor for labware."""
+        """Nothing: the robot has no sensor for labware."""
         return {}
 
-    # -- inside ------------------------------------------------------------------------------
+    # -- internal ----------------------------------------------------------------------------
 
     def _read_protocol(self, path: str, values: Mapping[str, Any]) -> tuple[str, bytes]:
-        """Name and content of the file, in the form that the robot takes. Raises DeviceError."""
+        """Name and content of the file, in a form that the robot accepts. Raises DeviceError."""
         file = Path(path)
         if not file.is_file():
             raise self.make_refusal(f"there is no protocol file {path}", "Check its name.")
@@ -197,7 +199,7 @@ class OT2Driver(Wired):
             )
             last = analyses[-1] if analyses else {}
             if last.get("status") == "completed":
-                # An older robot tells no result, but the errors, if only that there are none.
+                # An older robot gives no result. It gives a list of errors, which is empty if there are none.
                 if last.get("result", "ok" if last.get("errors") == [] else "not-ok") != "ok":
                     why = (
                         protocol.find_innermost(last.get("errors"))
@@ -224,8 +226,8 @@ class OT2Driver(Wired):
             raise self._make_refusal(reply, "none")
 
     def _has_begun(self, run: str, error: LinkError) -> bool:
-        """Whether a ``play`` whose answer was lost has reached the robot. If it has not, the run is given
-        up, so that it cannot begin later."""
+        """Whether a ``play`` has reached the robot although its answer was lost. If it has not, the run is
+        withdrawn, so that it cannot begin later, and the ``error`` reports no effects."""
         with self.under_way():
             if not self._take_back(run):
                 return True
@@ -233,7 +235,7 @@ class OT2Driver(Wired):
         return False
 
     def _take_back(self, run: str) -> bool:
-        """Take a run back that waits for its first ``play``; False if it has begun. Raises LinkError."""
+        """Withdraw a run that waits for its first ``play``. False if it has begun. Raises DeviceError."""
         state = self._poll_state(run)
         is_fresh = state["status"] == protocol.IDLE and state.get("actions") == []
         return is_fresh and self._retire(run).ok
@@ -273,7 +275,7 @@ class OT2Driver(Wired):
         return {"run": run, "status": status}
 
     def _check_offsets(self, run: str, made: Any) -> None:
-        """Raise DeviceError for a robot that has not taken the offsets: it would pipette beside the wells."""
+        """Raise DeviceError if the robot has not accepted the offsets: it would pipette beside the wells."""
         kept = made.get("labwareOffsets") if isinstance(made, dict) else None
         if self._offsets and (not isinstance(kept, list) or len(kept) < len(self._offsets)):
             self._release(run)
@@ -283,8 +285,8 @@ class OT2Driver(Wired):
             )
 
     def _poll_state(self, run: str) -> dict[str, Any]:
-        """The state of a run, which goes on without this node: a robot that cannot be reached for a while is
-        asked again."""
+        """The state of a run. A robot that cannot be reached is asked again until the deadline ``lost``,
+        because the run continues without this node."""
         return self.ask_again(lambda: self._read_state(run), self.limit_s("lost", LOST_S), POLL_S)
 
     def _read_state(self, run: str) -> dict[str, Any]:
@@ -300,7 +302,7 @@ class OT2Driver(Wired):
         return state
 
     def _find_current_run(self) -> str:
-        """The robot's current run; empty if there is none."""
+        """The name of the robot's current run; empty if there is none."""
         reply = self.link.get("/runs", params={"pageLength": 1}, timeout_s=self._answer_s)
         self._parse_data(reply)
         links = reply.json().get("links")
@@ -313,7 +315,7 @@ class OT2Driver(Wired):
         return name
 
     def _release(self, run: str) -> None:
-        """Make the robot free for others; a failure does no harm."""
+        """Make the robot free for other users. A failure does no harm and is ignored."""
         with suppress(DeviceError):
             self._retire(run)
 
@@ -329,8 +331,8 @@ class OT2Driver(Wired):
     # -- one answer --------------------------------------------------------------------------
 
     def _parse_data(self, reply: HttpReply) -> Any:
-        """Raises DeviceError for a refusal, NotConnected from a robot that still starts, Garbled for what is
-        no answer of a robot server."""
+        """The data of an answer. Raises DeviceError for a refusal, NotConnected if the robot is still
+        starting, Garbled if it is no answer of a robot server."""
         if reply.status == 503:
             raise NotConnected(f"{self.name}: the robot is still starting.", remedy="Wait some minutes.")
         if not reply.ok:
@@ -370,15 +372,15 @@ class OT2Driver(Wired):
 
 
 class _Forgotten(DeviceError):
-    """The robot keeps its last runs only, and those on its disk."""
+    """The robot no longer knows a run: it keeps only its last runs, and only those on its disk."""
 
 
 class _Ended(DeviceError):
-    """The run has come to its end, but not well."""
+    """The run has ended, but not with success."""
 
 
 def _check_volumes(name: str, values: Mapping[str, Any]) -> None:
-    """Raise DeviceError for volumes that do not fit the wells."""
+    """Raise DeviceError if volumes do not match the wells in number, or if one is negative or not finite."""
     for key, volumes in values.items():
         if not key.endswith("_volumes") or not volumes:
             continue

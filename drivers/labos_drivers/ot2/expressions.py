@@ -1,7 +1,7 @@
-"""What an expression of a protocol in Python is worth, as far as it can be told without running it.
+"""Computes values of expressions in a Python protocol, as far as this is possible without running it.
 
-Only literals, plain arithmetic and a few functions of Python are worked out; all else is ``UNKNOWN``.
-Lists may hold unknown items and still have a known length.
+Only literals, plain arithmetic and a few functions of Python are computed; everything else is ``UNKNOWN``.
+A list can contain unknown items and still have a known length.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LONGEST = 10_000
 
 
 class Unknown:
-    """A value that only the robot will know."""
+    """A value that cannot be determined without running the protocol."""
 
     def __repr__(self) -> str:
         return "unknown"
@@ -74,12 +74,12 @@ COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], bool]] = {
 
 
 def is_known(value: Any) -> bool:
-    """Whether a value is plain, and known in all its parts."""
+    """Whether a value and all its parts are known: text, numbers, ranges, None, or containers of them."""
     return all(_is_plain(part) for part in parts_of(value) if not isinstance(part, list | tuple | dict))
 
 
 def is_flat(value: Any) -> bool:
-    """Whether a value is known, and no list of lists, which can be endless to look through."""
+    """Whether a value is known and not a list of lists; a search of such a list could take too long."""
     items = (
         value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else [value]
     )
@@ -91,7 +91,7 @@ def _is_plain(value: Any) -> bool:
 
 
 def parts_of(value: Any) -> Iterator[Any]:
-    """A value, and all that it holds, each list and table once."""
+    """A value and everything that it contains. Each list, tuple and dict is searched only once."""
     open_, seen = [value], set()
     while open_:
         here = open_.pop()
@@ -102,14 +102,14 @@ def parts_of(value: Any) -> Iterator[Any]:
 
 
 def limit_size(value: Any) -> Any:
-    """The value, or UNKNOWN if it is too large to go on with."""
+    """The value, or UNKNOWN if it is too large for further computation."""
     too_long = isinstance(value, str | list | tuple | dict) and len(value) > LONGEST
     too_great = isinstance(value, int) and value.bit_length() > LONGEST
     return UNKNOWN if too_long or too_great else value
 
 
 def apply(function: Callable[..., Any], *args: Any) -> Any:
-    """The result of a function; UNKNOWN if it refuses the values."""
+    """The result of a function; UNKNOWN if it raises an error or the result is too large."""
     try:
         return limit_size(function(*args))
     except (TypeError, ValueError, ArithmeticError, LookupError):
@@ -117,7 +117,7 @@ def apply(function: Callable[..., Any], *args: Any) -> Any:
 
 
 def combine(kind: type[ast.operator], left: Any, right: Any) -> Any:
-    """The result of a binary operation."""
+    """The result of a binary operation; UNKNOWN if it cannot be computed."""
     function = BINARY.get(kind)
     if kind is ast.Add and isinstance(left, list) and isinstance(right, list):
         return apply(operator.add, left, right)
@@ -130,7 +130,7 @@ def combine(kind: type[ast.operator], left: Any, right: Any) -> Any:
 
 
 def call_builtin(name: str, args: list[Any]) -> Any:
-    """The result of a function of Python itself."""
+    """The result of a built-in function of Python; UNKNOWN if it cannot be computed."""
     if any(isinstance(arg, range) and len(arg) > LONGEST for arg in args):
         return UNKNOWN
     if name in LENGTHS and not any(arg is UNKNOWN for arg in args):
@@ -141,7 +141,7 @@ def call_builtin(name: str, args: list[Any]) -> Any:
 
 
 def item_of(held: Any, key: Any) -> Any:
-    """``held[key]``."""
+    """The item ``held[key]``; UNKNOWN if it cannot be determined."""
     if not isinstance(held, list | tuple | dict | str | range) or not (
         is_known(key) or isinstance(key, slice)
     ):

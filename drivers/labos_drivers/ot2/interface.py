@@ -1,4 +1,4 @@
-"""What the OT-2 offers."""
+"""The node of the OT-2: its stations, resources and actions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class OT2(OnBenchOrWire):
     counters: ClassVar[dict[str, Counter]] = {"tips": count_used_tips}
     device: OT2Simulator | OT2Driver
 
-    # What the protocol says under `resources:`, else what is counted in it; a column if it cannot be.
+    # The tips are those under `resources:` in the protocol, else the counted ones, else one column (8).
     @action(
         Needs(),
         Requires("labware", "sealed", False),
@@ -118,6 +118,6 @@ class OT2(OnBenchOrWire):
         await self.device.resume_run()
 
     async def trouble(self) -> str:
-        """What its run waits for."""
+        """What the run waits for; empty if it does not wait."""
         waits_for = self.device.waits_for if isinstance(self.device, OT2Driver) else ""
         return f"{waits_for[0].upper()}{waits_for[1:]} (resume_run, or the robot's App)." if waits_for else ""

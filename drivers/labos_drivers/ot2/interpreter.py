@@ -1,7 +1,8 @@
-"""Runs a protocol that was written as YAML. It is sent to the robot as a whole, with the plan and the
-values of the run behind it, and uses nothing but the Opentrons API.
+"""Runs a protocol that was written as YAML. This whole file is sent to the robot, and after it the plan and
+the values of the run. It uses only the Opentrons API.
 
-A tip is picked up when none is on, kept where ``drop_tip`` is false, and dropped at the end.
+A pipette without a tip picks one up before it works. It drops the tip after a transfer unless ``drop_tip`` is
+false, at ``replace_tip``, and at the end of the protocol.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ LABOS: dict[str, Any] = {}
 
 
 def run(protocol: Any) -> None:
-    """What the robot calls."""
+    """Carry out the plan; the robot calls this function."""
     labware, modules = _load(protocol)
     pipettes = _pipettes(protocol, labware)
     for command in PLAN["commands"]:
@@ -34,7 +35,7 @@ def run(protocol: Any) -> None:
 
 
 def _load(protocol: Any) -> tuple[dict[str, Any], list[Any]]:
-    """Labware by location and by alias, and the modules under it."""
+    """Load labware and modules; returns the labware by location and by alias, and the modules under it."""
     labware, modules = {}, []
     for item in PLAN["labware"]:
         where = str(item["location"])
@@ -52,12 +53,12 @@ def _load(protocol: Any) -> tuple[dict[str, Any], list[Any]]:
 
 
 def _pipettes(protocol: Any, labware: dict[str, Any]) -> list[Any]:
-    """Small ones first. Each takes its tips from racks of its own size."""
+    """Load the pipettes; returns them, the smallest first. Each takes tips from racks of its own size."""
     racks = list({id(rack): rack for rack in labware.values() if rack.is_tiprack}.values())
     found = []
     for item in PLAN["pipettes"]:
         pipette = protocol.load_instrument(item["name"], item["mount"])
-        # A pipette of 20 µL has tips of 20, one of 300 has tips of 300 or 200.
+        # A pipette of 20 µL uses tips of 20 µL; one of 300 µL uses tips of 300 µL or 200 µL.
         pipette.tip_racks = [
             rack for rack in racks if 0.5 < rack.wells()[0].max_volume / pipette.max_volume < 1.5
         ]
@@ -99,7 +100,7 @@ def _transfer(command: dict[str, Any], labware: dict[str, Any], pipettes: list[A
 
 
 def _pipette_for(volume: float, pipettes: list[Any]) -> Any:
-    """The smallest that takes it at once, else the largest."""
+    """The smallest pipette that takes the volume at once; the largest if none does."""
     return next((pipette for pipette in pipettes if volume <= pipette.max_volume), pipettes[-1])
 
 
@@ -115,14 +116,15 @@ def _drop(pipettes: list[Any]) -> None:
 
 
 def _value(written: Any) -> Any:
-    """What ``payload.name`` stands for, else what was written."""
+    """The value of the run for ``payload.name``; anything else is returned unchanged."""
     if isinstance(written, str) and written.startswith("payload."):
         return LABOS[written[len("payload.") :]]
     return written
 
 
 def _wells(written: Any, labware: dict[str, Any]) -> list[Any]:
-    """``dest:A1``, ``dest:[A1, A2]``, ``dest:[1...12]`` (columns), or a list of wells of ``dest``."""
+    """The wells of ``dest:A1``, ``dest:[A1, A2]``, ``dest:[1...12]`` (columns; their wells in row A), or of a
+    list of such places. A place without labware is a well of ``dest``."""
     value = _value(written)
     found: list[Any] = []
     for place in value if isinstance(value, list) else [value]:

@@ -1,6 +1,6 @@
-"""The OT-2's robot server: what is sent to it, and what its answers are called.
+"""The interface of the OT-2's robot server: its requests, and the words of its answers.
 
-HTTP on port 31950, JSON, no authentication; each request bears the header ``Opentrons-Version``.
+HTTP on port 31950, JSON, no authentication; each request has the header ``Opentrons-Version``.
 Source: Opentrons/opentrons, robot-server (its OpenAPI is at ``/openapi.json`` of each robot), version
 8.1; AD-SDL/ot2_module, src/ot2_interface/ot2_driver_http.py.
 """
@@ -44,13 +44,13 @@ MARK = b"\n\n# The values of this run.\nLABOS = "
 
 
 def with_values(protocol: bytes, values: Mapping[str, Any]) -> bytes:
-    """A protocol in Python with the values of the run in its global ``LABOS``. They stand at the end, as the
-    protocol looks them up when it runs."""
+    """A protocol in Python with the values of the run in its global ``LABOS``. They can stand at the end,
+    because the protocol reads them only when its ``run`` is called."""
     return protocol + MARK + pprint.pformat(dict(values), width=100).encode() + b"\n"
 
 
 def find_reason(body: Any, status: int) -> str:
-    """The server's reason for refusing a request."""
+    """The server's reason for its refusal of a request; the HTTP status if it gives none."""
     if isinstance(body, dict):
         errors = body.get("errors")
         if isinstance(errors, list) and errors and isinstance(errors[0], dict):
@@ -61,7 +61,7 @@ def find_reason(body: Any, status: int) -> str:
 
 
 def find_innermost(errors: Any) -> str:
-    """The innermost error of a run: those around it only pass it on."""
+    """The innermost error of a run, as text. The errors around it only pass it on."""
     error = errors[0] if isinstance(errors, list) and errors else {}
     while isinstance(error, dict) and error.get("wrappedErrors"):
         error = error["wrappedErrors"][0]

@@ -1,8 +1,8 @@
-"""How many tips a protocol in Python picks up, told by reading it: it is never run.
+"""Counts the tips that a Python protocol picks up. The protocol is only read, and never run.
 
-Its ``run`` is gone through with what can be known: literals, the values of the run (``LABOS``), loops over
-lists and ranges of known length, functions of its own. Where the number depends on anything else, what was
-counted so far is a doubt.
+Its function ``run`` is followed with what can be known: literals, the values of the run (``LABOS``), loops
+over lists and ranges of known length, the protocol's own functions. If the number of tips depends on anything
+else, the result is the number counted so far, with the reason for doubt.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from labos_drivers.ot2.expressions import UNKNOWN, apply, combine, is_known
 
 
 class _Broken(Exception):
-    """``break``."""
+    """The protocol has a ``break`` here."""
 
 
 class _Continued(Exception):
-    """``continue``."""
+    """The protocol has a ``continue`` here."""
 
 
 class _Raised(Exception):
-    """The protocol gives up here."""
+    """The protocol raises an error here."""
 
 
 def count_tips(content: bytes, values: Mapping[str, Any]) -> Count:
-    """The tips that a protocol picks up, with the values of its run."""
+    """The tips of a protocol with the values of its run: as its ``resources`` say, else counted."""
     reader = _Reader()
     try:
         tree = ast.parse(content)
@@ -61,14 +61,14 @@ def count_tips(content: bytes, values: Mapping[str, Any]) -> Count:
 
 
 class _Reader(Calls):
-    """Goes through statements."""
+    """Reads the statements of a protocol."""
 
     def __init__(self) -> None:
         super().__init__()
         self._skipped: set[ast.stmt] = set()
 
     def run(self, top: Scope, tree: ast.Module) -> None:
-        """Go through ``run``; places that take tips and were never reached are a doubt. Raises Doubt."""
+        """Read ``run``. Raises Doubt, also if a place that takes tips was neither reached nor skipped."""
         run = top.get("run")
         if not isinstance(run, Function):
             raise Doubt("it has no `run`")
@@ -135,7 +135,7 @@ class _Reader(Calls):
         value = self.evaluate(node.value, scope)
         if isinstance(node, ast.AugAssign):
             before = self.evaluate(node.target, scope)
-            self.spoil(before)  # of a list, it is the same one that grows
+            self.spoil(before)  # for a list, `+=` changes the list itself
             value = combine(type(node.op), before, value)
         for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
             self.assign(target, value, scope)
@@ -168,7 +168,7 @@ class _Reader(Calls):
                 if not plain or apply(held.__setitem__, key, value) is UNKNOWN:
                     self.spoil(held)
 
-    # -- what is done or not, once or often --------------------------------------------------
+    # -- branches and loops ------------------------------------------------------------------
 
     def _branch(self, node: ast.If, scope: Scope) -> None:
         decided = self.find_truth(self.evaluate(node.test, scope))
@@ -237,7 +237,7 @@ class _Reader(Calls):
         self.read_all(node.finalbody, scope)
 
     def _skip(self, body: Sequence[ast.stmt]) -> None:
-        """What is certainly not done."""
+        """Note that statements are certainly not carried out: the tips there need no count."""
         if body and body[0] not in self._skipped:
             self._skipped.add(body[0])
             for statement in body:

@@ -22,8 +22,8 @@ COLUMN = 8
 
 
 class OT2Simulator(Deck):
-    """A gantry that forgets its runs when the power goes. ``dose_s`` of its configuration says how long it
-    takes to bring one volume into one well; without it, each run takes as long as a usual one."""
+    """A simulated gantry. It loses its runs when the power is lost. ``dose_s`` of its configuration is the
+    time to bring one volume into one well (s). Without it, each run takes as long as a usual run."""
 
     drawers = SLOTS
 
@@ -39,11 +39,11 @@ class OT2Simulator(Deck):
         drawn: dict[str, float],
         variables: dict[str, Any],
     ) -> dict[str, Any]:
-        """Run it, and answer with the robot's own name for the run."""
+        """Run the protocol; returns the robot's own name for the run, and its status."""
         if (liquids := self.config.get("liquids")) and not volumes:
             facts = make_facts(find_dispensed(protocol, liquids))
             volumes, wells = facts.get("volumes", volumes), facts.get("wells", wells)
-        tips = min(len(wells), COLUMN)  # what it does beyond the wells that it is told is not simulated
+        tips = min(len(wells), COLUMN)  # work outside the given wells is not simulated
         facts = {
             "protocol": _sha256(protocol),
             "volumes": volumes,
@@ -64,13 +64,14 @@ class OT2Simulator(Deck):
         return HOMES_S + dose_s * doses if dose_s and doses else RUN_S
 
     async def resume_run(self) -> None:
-        """A simulated gantry waits for nobody."""
+        """Raises DeviceError: a run of the simulated gantry never waits."""
         raise self.make_refusal("no run waits")
 
 
 def find_dispensed(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """The volumes that a protocol in YAML puts into wells, where it lists a volume for each (µL by liquid and
-    well); ``liquids`` has the liquid of each well that it takes from, as ``reservoir:A1``."""
+    """The volumes that a YAML protocol dispenses into wells (µL by liquid and well), from its commands with a
+    list of volumes. ``liquids`` gives the liquid of each source well, which is written as ``reservoir:A1``.
+    Empty for a file that is not YAML."""
     path, found = Path(protocol), dict[str, dict[str, float]]()
     if path.suffix not in (".yaml", ".yml") or not path.is_file():
         return found
@@ -85,6 +86,6 @@ def find_dispensed(protocol: str, liquids: Mapping[str, str]) -> dict[str, dict[
 
 
 def _sha256(protocol: str) -> str:
-    """The digest of the file that the robot got; a protocol that is only a name is returned as it is."""
+    """The SHA-256 of the protocol file. A protocol that is only a name is returned unchanged."""
     path = Path(protocol)
     return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else protocol

@@ -1,8 +1,8 @@
-"""Opentrons' own software, where it is there: it runs a protocol as a robot does, on simulated hardware.
+"""Opentrons' own software, if it is installed. It runs a protocol as a robot does, on simulated hardware.
 
-``opentrons_simulate`` comes with the package ``opentrons`` (8.8 is the last one that takes protocols for
-an OT-2), which wants an environment of its own. What it prints is for people: a log of the run, or a
-traceback.
+``opentrons_simulate`` is part of the package ``opentrons``, which needs an environment of its own. Version
+8.8 is the last one that accepts protocols for an OT-2. The program prints text for people: a log of the run,
+or a traceback.
 """
 
 from __future__ import annotations
@@ -40,20 +40,21 @@ RAISED = re.compile(
 
 
 class ProtocolOutput(msgspec.Struct, frozen=True):
-    """The output of a protocol: its log, line by line, and its errors in the robot's form, none if all went
-    well. There is a log only then."""
+    """The output of a protocol: after a success the lines of its log, after a failure its errors in the form
+    of the robot server. The other one is empty."""
 
     log: tuple[str, ...] = ()
     errors: tuple[dict[str, Any], ...] = ()
 
     @property
     def tips(self) -> int:
-        """How often tips were picked up; whether one or eight at a time, the log does not say."""
+        """How often tips were picked up. The log does not say whether one or eight at a time."""
         return sum(bool(TIP.match(line)) for line in self.log)
 
     def sum_changes(self) -> dict[int, dict[str, float]]:
-        """By slot and well, how many µL more or less are there now; with a pipette of eight channels, the
-        well is the first of its column. What is on a module is told by the module's slot."""
+        """The change of volume (µL) by slot and well; negative if more was aspirated than dispensed. With a
+        pipette of eight channels, the well is the first of its column. Labware on a module counts under the
+        module's slot."""
         found: dict[int, dict[str, float]] = {}
         for stroke in self._find_strokes():
             wells = found.setdefault(int(stroke["slot"]), {})
@@ -74,7 +75,7 @@ class RunningProtocol:
         self._folder = Path(tempfile.mkdtemp(prefix="labos-opentrons-"))
         protocol = self._folder / name
         protocol.write_bytes(content)
-        # The settings of the process that started us are none of the robot's.
+        # Opentrons settings of this computer must not apply to the simulated robot.
         environment = {**os.environ, "OT_API_CONFIG_DIR": str(self._folder / "robot")}
         with self._output_path.open("wb") as output, self._error_path.open("wb") as errors:
             self._process = subprocess.Popen(
@@ -95,7 +96,7 @@ class RunningProtocol:
         return self._folder / "errors.txt"
 
     def poll(self) -> ProtocolOutput | None:
-        """The output; None while it runs. Not to be called again afterwards."""
+        """The output; None while the protocol runs. Not to be called again after the output was returned."""
         if (code := self._process.poll()) is None:
             return None
         output, errors = (
@@ -108,14 +109,14 @@ class RunningProtocol:
         return ProtocolOutput(errors=(parse_error(errors, code),))
 
     def kill(self) -> None:
-        """End the process."""
+        """End the process and delete its files."""
         self._process.kill()
         self._process.wait(END_S)
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
 class Software:
-    """The program that runs protocols. Raises DeviceError if it is not where it should be."""
+    """The program that runs protocols. Raises DeviceError if it is not found."""
 
     def __init__(self, program: str) -> None:
         found = shutil.which(program)
@@ -132,7 +133,7 @@ class Software:
 
 
 def parse_error(printed: str, code: int) -> dict[str, Any]:
-    """The error at the end of what was printed, in the robot's form: with the error that caused it."""
+    """The error at the end of the printed text, in the form of the robot server, with its cause inside."""
     lines = printed.rstrip().splitlines()
     frames = [number for number, line in enumerate(lines) if line.startswith(FRAME)]
     plain = [number for number, line in enumerate(lines) if line.strip() and not line.startswith(" ")]

@@ -1,7 +1,7 @@
-"""How many tips a protocol uses up, read from it before anything moves.
+"""Counts the tips that a protocol uses up, before anything moves.
 
-YAML is gone through by the very interpreter that is sent to the robot, over a deck that only counts. Of
-Opentrons' JSON protocols the commands are counted; Python is read (``ot2/reading.py``), never run.
+A YAML protocol is run by the same interpreter that is sent to the robot, on a deck that only counts. Of
+Opentrons' JSON protocols, the commands are counted. Python is only read (``ot2/reading.py``), and never run.
 Sources: Opentrons/opentrons, shared-data/protocol/schemas 1 to 8 (``procedure`` and ``pick-up-tip``, then
 ``commands`` with ``pickUpTip``).
 """
@@ -27,7 +27,7 @@ IN_PYTHON = 'Write it there, beside `metadata`: `resources = {"tips": N}`.'
 
 
 def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
-    """The tips that ``run_protocol`` with these arguments uses up."""
+    """The number of tips that ``run_protocol`` uses up with these arguments."""
     values = values_of(args)
     match name.lower().rpartition(".")[2]:
         case "yaml" | "yml":
@@ -41,8 +41,8 @@ def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count
 
 
 def values_of(args: Mapping[str, Any]) -> dict[str, Any]:
-    """What a protocol finds under ``payload`` and in ``LABOS``, from the arguments of its action. One that
-    is not known is not there."""
+    """The values that a protocol finds under ``payload`` and in ``LABOS``, from the arguments of its action.
+    Missing arguments are left out, and so are empty volumes and source wells."""
     values = dict(args.get("variables") or {})
     values |= {name: value for name, value in args.items() if name.endswith("_volumes") and value}
     if "destination_wells" in args:
@@ -75,7 +75,7 @@ def _count_in_yaml(name: str, content: bytes, values: Mapping[str, Any]) -> Coun
 
 
 def _load_interpreter() -> ModuleType:
-    """A fresh copy of the interpreter, as it keeps the plan of one protocol in its globals."""
+    """A new copy of the interpreter, because it keeps the plan of one protocol in its globals."""
     spec = importlib.util.spec_from_file_location("labos_drivers.ot2._counting", INTERPRETER)
     assert spec is not None
     assert spec.loader is not None
@@ -85,7 +85,7 @@ def _load_interpreter() -> ModuleType:
 
 
 class _Deck:
-    """The deck that the interpreter takes for the robot."""
+    """Takes the place of the robot for the interpreter, and counts tips."""
 
     def __init__(self) -> None:
         self.tips = 0.0
@@ -117,11 +117,11 @@ class _Module:
         return _Rack(self._deck, str(name))
 
     def set_temperature(self, celsius: Any) -> None:
-        """Needs no tip."""
+        """Does nothing: it needs no tip."""
 
 
 class _Rack:
-    """Labware that is identified by its name."""
+    """Labware, of which only the name is known."""
 
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck
@@ -129,7 +129,7 @@ class _Rack:
         self.max_volume = _parse_volume_ul(name) if self.is_tiprack else 0.0
 
     def set_offset(self, **_: float) -> None:
-        """Needs no tip."""
+        """Does nothing: it needs no tip."""
 
     def wells(self) -> list[_Well]:
         return [_Well(self.max_volume)]
@@ -146,17 +146,17 @@ class _Well:
         self.max_volume = max_volume
 
     def bottom(self, clearance: float) -> None:
-        """A place in it."""
+        """A position in the well, which does not matter for the count."""
 
     def top(self) -> None:
-        """A place in it."""
+        """A position in the well, which does not matter for the count."""
 
 
 class _Pipette:
     def __init__(self, deck: _Deck, name: str) -> None:
         self._deck = deck
         self.max_volume = _parse_volume_ul(name)
-        self.min_volume = 0.0  # what tips are used up does not depend on it
+        self.min_volume = 0.0  # the number of tips does not depend on it
         self.has_tip = False
         self._channels = count_channels(name)
 
@@ -174,7 +174,7 @@ class _Pipette:
 
 
 def _parse_volume_ul(name: str) -> float:
-    """``p300_multi_gen2`` and ``opentrons_96_tiprack_300ul`` take 300 µL."""
+    """The volume in a name (µL): 300 for ``p300_multi_gen2`` and ``opentrons_96_tiprack_300ul``."""
     found = re.match(r"p(\d+)", name) or re.search(r"(\d+)ul", name)
     if found is None:
         raise Doubt(f"{name!r} has no known volume")
@@ -204,7 +204,7 @@ def _count_in_json(content: bytes) -> Count:
 
 
 def _list_pipettes(protocol: Any) -> dict[str, str]:
-    """What each pipette is called by its maker, by the name that commands use."""
+    """The maker's name of each pipette, by the name that the commands use."""
     loaded = protocol.get("pipettes") or {}
     names = {key: str(p.get("name") or p.get("model") or p.get("pipetteName")) for key, p in loaded.items()}
     for kind, params in _list_commands(protocol):
@@ -214,7 +214,7 @@ def _list_pipettes(protocol: Any) -> dict[str, str]:
 
 
 def _list_commands(protocol: Any) -> list[tuple[str, dict[str, Any]]]:
-    """All commands with their parameters, of every version of the schema."""
+    """All commands with their parameters, for every version of the schema. Raises ValueError."""
     if "commands" not in protocol and "procedure" not in protocol:
         raise ValueError("it has no commands")
     steps = protocol.get("commands") or [s for part in protocol["procedure"] for s in part["subprocedure"]]

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the OT-2."""
+"""The cases, faults and settings of the OT-2 for the torture suite."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _disks: WeakKeyDictionary[World, Disk] = WeakKeyDictionary()
 
 
 def _robot(setup: Setup) -> OT2OnWire:
-    """With the disk that the robot had before it was switched off; it runs no protocol in truth, so that
-    its motions last as long as the suite wants."""
+    """A simulated robot with the disk that it had before it was switched off. It does not run protocols with
+    Opentrons' software, so that its motions take the time that the suite wants."""
     assert setup.world is not None
     return OT2OnWire(setup, disk=_disks.setdefault(setup.world, Disk()), simulate="")
 

@@ -1,7 +1,7 @@
-"""Protocols as public workcells write them, in YAML, made into one that an OT-2 runs.
+"""Translates YAML protocols of public workcells into Python protocols that an OT-2 runs.
 
-The format is that of AD-SDL/ot2_module, src/ot2_interface/protopiler/config.py, as far as its commands
-``transfer``, ``mix``, ``replace_tip`` and ``change_temp`` go. What is not known here is refused.
+The format is that of AD-SDL/ot2_module, src/ot2_interface/protopiler/config.py. Of its commands,
+``transfer``, ``mix``, ``replace_tip`` and ``change_temp`` are translated. Any other entry is refused.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ LABWARE, PIPETTE = {"name", "location", "alias", "module", "offset"}, {"name", "
 
 
 def translate(name: str, content: bytes) -> bytes:
-    """The protocol in Python. Raises DeviceError for what cannot be translated."""
+    """The protocol in Python. Raises DeviceError if a part of it cannot be translated."""
     metadata = {key: str(value) for key, value in (_read(name, content).get("metadata") or {}).items()}
     plan = make_plan(name, content)
     return b"".join(
@@ -45,7 +45,7 @@ def translate(name: str, content: bytes) -> bytes:
 
 
 def make_plan(name: str, content: bytes) -> dict[str, Any]:
-    """The plan for the interpreter. Raises DeviceError for what cannot be translated."""
+    """The plan for the interpreter. Raises DeviceError if a part of it cannot be translated."""
     written = _read(name, content)
     equipment = _read_entries(name, written, "equipment")
     for item in equipment:
@@ -71,7 +71,7 @@ def _read(name: str, content: bytes) -> dict[str, Any]:
 
 
 def _read_command(name: str, number: int, item: dict[str, Any]) -> dict[str, Any]:
-    """A command with a name; entries that would be ignored are refused. Raises DeviceError."""
+    """A command with a name. Raises DeviceError if a key is missing or would be ignored."""
     settings = {key: value for key, value in item.items() if key not in ("name", "command")}
     kind = str(item.get("command") or next((k for k in COMMANDS if k in settings), "transfer"))
     if kind not in COMMANDS:

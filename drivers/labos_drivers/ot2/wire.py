@@ -1,9 +1,9 @@
-"""A simulated OT-2 behind its robot server: protocols, analyses, runs and their states, as its public
-OpenAPI has them.
+"""A simulated OT-2 behind its robot server: protocols, analyses, runs and their states, as in its public
+OpenAPI.
 
-Where Opentrons' own software is there (``software``), that runs each protocol: when it is analysed, and again
-when it is played. Elsewhere none is run in truth: it is read whether the file is Python, and it works on all
-that stands on the deck. Either way a run takes the time of a usual one.
+If Opentrons' own software is available (``software``), it runs each protocol: for the analysis, and again at
+``play``. Otherwise no protocol is run: the analysis checks only that the file is Python or JSON, and a run
+works on all plates on the deck. In both cases a run takes as long as a usual run.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ BEGAN = datetime(2024, 1, 1, tzinfo=UTC)
 
 
 class Disk:
-    """What outlives a loss of power: protocols, and runs with their actions. How far a run had come is
-    written down only when another one takes its place."""
+    """The data that survives a loss of power: protocols, and runs with their actions. The progress of a run
+    is stored only when another run takes its place."""
 
     def __init__(self) -> None:
         self.protocols: dict[str, dict[str, Any]] = {}
@@ -47,9 +47,9 @@ class Disk:
 
 
 class OT2OnWire(OnHttp):
-    """What the robot is and does. ``simulate`` is the program ``opentrons_simulate``, empty for none; left
-    out, the environment says where it is (``LABOS_OPENTRONS_SIMULATE``). Raises DeviceError if it is not
-    there."""
+    """The simulated robot. ``simulate`` is the program ``opentrons_simulate``; empty for none. If it is None,
+    the environment variable ``LABOS_OPENTRONS_SIMULATE`` names the program. Raises DeviceError if the program
+    is not found."""
 
     drawers = SLOTS
 
@@ -85,12 +85,12 @@ class OT2OnWire(OnHttp):
         self._start_up()
 
     def _start_up(self) -> None:
-        """What was under way when the power went is lost."""
+        """Discard analyses that the loss of power interrupted, and mark the current run as stopped."""
         for held in self.protocols.values():
             done = [analysis for analysis in held["analysisSummaries"] if analysis["status"] == "completed"]
             held["analysisSummaries"] = done
         for run in self.runs.values():
-            if run["current"]:  # its record is lost: it is told as stopped, however it ended
+            if run["current"]:  # its record is lost: it is reported as stopped, however it ended
                 run |= {"ok": False, "current": False, "status": protocol.STOPPED, "errors": []}
 
     def close(self) -> None:
@@ -99,7 +99,7 @@ class OT2OnWire(OnHttp):
             running.kill()
         self._running.clear()
 
-    # -- receiving ---------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------
 
     def listen(self, timeout_s: float) -> None:
         super().listen(timeout_s)
@@ -272,7 +272,7 @@ class OT2OnWire(OnHttp):
             self.forget_plans()
             self.after(HOME_S, lambda: self._end(run, protocol.STOPPED))
         elif action == "pause":
-            run["status"] = "paused"  # what has begun is ended first
+            run["status"] = "paused"  # the command in progress is completed first
         elif status == protocol.IDLE:
             run |= {"status": "running", "startedAt": self._format_time()}
             self._begin(run)
@@ -282,7 +282,7 @@ class OT2OnWire(OnHttp):
         return Reply(201, {"data": entry})
 
     def open_door(self) -> None:
-        """Somebody opens the front door, whose switch is in use."""
+        """Open the front door. Its switch is enabled, so a run that is running waits."""
         self.door_is_open = True
         for run in self.runs.values():
             if run["status"] == "running":
@@ -294,7 +294,7 @@ class OT2OnWire(OnHttp):
             if run["status"] == "blocked-by-open-door":
                 run["status"] = "paused"
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def _home(self) -> Reply:
         if self.moving:
@@ -313,7 +313,7 @@ class OT2OnWire(OnHttp):
         self._go_on(run)
 
     def forget_plans(self) -> None:
-        """A run that is stopped, or hits something, is not run to its end."""
+        """Also end the software of the played run: a run that is stopped or crashes does not continue."""
         super().forget_plans()
         if self._played is not None and self._running.pop(self._played, None) is not None:
             self._played.kill()
@@ -352,8 +352,8 @@ class OT2OnWire(OnHttp):
             self._go_on(run)
 
     def _work(self, run: dict[str, Any], ran: ProtocolOutput | None) -> None:
-        """On the plates that it dispenses into, or on every one if nobody knows; with what the protocol was
-        told."""
+        """Record the work on the plates that receive liquid; on every plate if these are not known. Volumes
+        and wells are those among the protocol's values."""
         plain, values = _split_values(self._files[run["protocolId"]][1])
         volumes = {
             key.removesuffix("_volumes"): doses
@@ -387,13 +387,13 @@ class OT2OnWire(OnHttp):
                 )
 
     def _find_reached_plates(self, ran: ProtocolOutput | None) -> dict[str, dict[str, float]]:
-        """The plates that it puts its tips into, by where they stand, with the µL that each well received."""
+        """The plates that the tips reach, by station, with the volume that each well received (µL)."""
         full = [slot for slot in self.drawers if self.world.at(self.place(slot))]
         if ran is None:
             if not full:
                 self.world.crash(self.name, self.place(self.drawers[0]), "pipettes into nothing")
             return {self.place(slot): {} for slot in full}
-        # On slots without a plate of the lab stands what nobody moves: tips, reservoirs, waste.
+        # Slots without a plate of the lab have labware that is never moved: tips, reservoirs, waste.
         reached = {
             self.place(slot): {well: volume for well, volume in change.items() if volume > 0}
             for number, change in ran.sum_changes().items()
@@ -429,7 +429,7 @@ class OT2OnWire(OnHttp):
             self.forget_plans()
             self._fail(self.runs[self.current], "2003", "StallOrCollisionDetectedError", str(crash))
 
-    # -- speaking ----------------------------------------------------------------------------
+    # -- parts of answers --------------------------------------------------------------------
 
     def _list_commands(self, run: dict[str, Any]) -> list[dict[str, Any]]:
         at = self._at.get(run["id"], 0)
@@ -473,7 +473,7 @@ def _parse_files(request: Request) -> list[tuple[str, bytes]]:
 
 
 def _analyse(name: str, content: bytes) -> dict[str, Any]:
-    """The analysis of a file: only whether it can be read is found out."""
+    """The analysis of a file; it checks only that the file can be parsed."""
     try:
         json.loads(content) if name.endswith(".json") else compile(content, name, "exec")
     except (SyntaxError, ValueError) as error:
@@ -487,6 +487,6 @@ def _make_analysis(errors: tuple[dict[str, Any], ...]) -> dict[str, Any]:
 
 
 def _split_values(content: bytes) -> tuple[bytes, dict[str, Any]]:
-    """The protocol as it was written, and the values that were added to it."""
+    """The protocol as it was written, and the values that were added to it; empty if there are none."""
     plain, mark, values = content.rpartition(protocol.MARK)
     return (plain, ast.literal_eval(values.decode())) if mark else (content, {})

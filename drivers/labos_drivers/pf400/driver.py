@@ -1,4 +1,4 @@
-"""Drives a real PF400 through its TCP command server."""
+"""The driver of the PF400, through the TCP command server of its controller."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ WHO = "a PreciseFlex 400"
 
 
 class End(NamedTuple):
-    """Where something is taken or put down: the place, the grip (or empty), the type of what stands there,
-    the taught place through which the arm comes (or empty), and by how much higher than taught."""
+    """One end of a transfer: its place, the grip (empty: as taught), and the labware type whose taught pose
+    is used. ``approach`` is the taught place through which the arm comes (empty: as configured). ``up_mm`` is
+    the height above the taught pose."""
 
     place: str
     grip: str
@@ -41,8 +42,8 @@ class End(NamedTuple):
 
 
 class Spot(NamedTuple):
-    """A place as the arm goes there: its pose, the poses through which it comes and leaves, and from how far
-    above it comes down."""
+    """The poses for a place. The arm comes and leaves through the poses ``through``. It comes down to the
+    pose of the place from ``above_mm`` above it."""
 
     name: str
     pose: Joints
@@ -58,8 +59,8 @@ class Spot(NamedTuple):
 
 
 class PF400Driver(Wired):
-    """Commands of the device. Behind ``waitForEom`` it would not hear ``halt``: the end of a motion is found
-    out by asking where the arm is."""
+    """The driver never sends ``waitForEom``: the controller would then ignore ``halt`` until the motion ends.
+    To detect the end of a motion, the driver reads the arm's position."""
 
     deadlines = ("answer", "power", "fingers", "home", "move", "begin")
     where = ("host", "192.168.0.1")
@@ -113,15 +114,15 @@ class PF400Driver(Wired):
         through: tuple[str, str] = ("", ""),
         turn_at: str = "",
     ) -> None:
-        """From place to place, through the regrip place if the grips differ (``turn_at``: through this one);
-        ``kind`` is the type of labware. ``through`` are the taught places by which the arm comes to source
-        and target."""
+        """Carry labware of the type ``kind`` from one place to another. If both grips are given and differ,
+        the grip is changed at the regrip place (at ``turn_at``, if it is given). ``through`` has the taught
+        places through which the arm comes to source and target."""
         ends = End(source, source_grip, kind, through[0]), End(target, target_grip, kind, through[1])
         self._transfer(*ends, slow, turn_at)
 
     @off_loop
     def pick(self, source: str, grip: str = "", kind: str = "", through: str = "") -> None:
-        """Take a plate into the hand, and leave it there."""
+        """Take a plate into the hand, and keep it there."""
         with self.motion():
             spot = self._find_spot(source, kind, through)
             self._check_reach(spot)
@@ -135,8 +136,8 @@ class PF400Driver(Wired):
     def unlid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:
-        """Take the lid off the plate at a place, and put it into a nest. ``kind`` is the lid's type,
-        ``plate`` the plate's."""
+        """Take the lid off the plate at ``source`` and put it into the nest ``target``. ``kind`` is the type
+        of the lid, ``plate`` the type of the plate."""
         ends = End(source, source_grip, plate, up_mm=self._lid_mm), End(target, target_grip, kind)
         self._transfer(*ends)
 
@@ -144,13 +145,13 @@ class PF400Driver(Wired):
     def relid(
         self, source: str, target: str, source_grip: str, target_grip: str, kind: str = "", plate: str = ""
     ) -> None:
-        """Put a lid from its nest onto the plate at a place."""
+        """Put the lid from the nest ``source`` onto the plate at ``target``."""
         ends = End(source, source_grip, kind), End(target, target_grip, plate, up_mm=self._lid_mm)
         self._transfer(*ends)
 
     @off_loop
     def put_down(self, target: str, kind: str = "", through: str = "") -> None:
-        """Put down what the fingers hold, in the grip that they have."""
+        """Put down what the fingers hold, with their present grip."""
         with self.motion():
             spot = self._find_spot(target, kind, through)
             self._check_reach(spot)
@@ -158,7 +159,7 @@ class PF400Driver(Wired):
             fingers = self._hand.read(width)
             if fingers.state in ("open", "shut"):
                 raise self.make_refusal("its hand is empty")
-            # The lab knows that something is in the hand, also where its width alone does not tell.
+            # The lab knows that the hand holds something, even if the width does not show it.
             grip = fingers.grip or self._hand.guess_grip(width, kind)
             self._hand.grasp(grip, width)
             with self.under_way():
@@ -166,7 +167,7 @@ class PF400Driver(Wired):
 
     @off_loop
     def open_fingers(self, wide: bool) -> None:
-        """Open the fingers in the air, after a person has seen that nothing is between them."""
+        """Open the fingers in the air. Before, a person has checked that nothing is between them."""
         with self.motion():
             with self.report_no_effects():
                 self._check_power()
@@ -179,7 +180,7 @@ class PF400Driver(Wired):
 
     @off_loop
     def explore(self) -> None:
-        """Move over every taught place, with an empty hand."""
+        """Move to above every taught place, with an empty hand."""
         with self.motion():
             spots = [self._find_spot(name) for name in self._setup.poses]
             for kind, poses in self._setup.poses_of.items():
@@ -198,8 +199,8 @@ class PF400Driver(Wired):
 
     @off_loop
     def free(self, column: bool) -> None:
-        """Let the joints yield to a hand. They need not be homed, nor within their limits: this is how the
-        arm is brought back there."""
+        """Let a person move the joints by hand. The arm need not be homed or within its limits: free mode is
+        the way to bring it back into them."""
         with self.motion():
             with self.report_no_effects():
                 self._check_power()
@@ -212,7 +213,7 @@ class PF400Driver(Wired):
 
     @off_loop
     def hold(self) -> None:
-        """End free mode, then move up and fold slowly."""
+        """End free mode, then move up and fold, at low speed."""
         with self.motion():
             with self.report_no_effects():
                 self._check_power()
@@ -231,7 +232,8 @@ class PF400Driver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Power on, home if needed, then move straight up and fold; the hand keeps what it holds."""
+        """Switch the power on, home the arm if necessary, then move straight up and fold. From a shelf, it
+        moves back through the approach poses instead. The hand keeps what it holds."""
         self.resume()
         if self._ask_number("hp") != protocol.ON:
             power_s = self.limit_s("power", POWER_S)
@@ -247,8 +249,8 @@ class PF400Driver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """Halt the arm where it is, with its power on; the hand keeps what it holds. While it homes or moves
-        its fingers it hears this only afterwards."""
+        """Halt the arm where it is. The power stays on, and the hand keeps what it holds. During homing and
+        motions of the fingers, the controller executes ``halt`` only afterwards."""
         self._halted.set()
         self._ask("halt", self.limit_s("home", HOME_S))
 
@@ -260,8 +262,8 @@ class PF400Driver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """The width of the fingers: as far apart as a plate is wide, they hold one; only open ones are empty.
-        Nothing is reported for any other width."""
+        """Whether the hand holds something, from the width of its fingers: the width of a plate means yes,
+        the open width no. Nothing is reported for any other width. ``free`` is reported if it is known."""
         seen: dict[str, Any] = {} if self._is_free is None else {"free": self._is_free}
         state = self._hand.read(self._read_joints()[GRIPPER]).state
         if state in ("holding", "open"):
@@ -299,8 +301,8 @@ class PF400Driver(Wired):
                 raise self._make_not_taken_error(source.place)
 
     def _plan_regrip(self, before: Grip, after: Grip, kind: str, place: str) -> tuple[Spot, ...]:
-        """The spots at which the plate is put down and picked up at the regrip place; empty if the grip does
-        not change. The place was taught for the narrow grip."""
+        """The spots for putting the plate down and picking it up at the regrip place. Empty if the grip does
+        not change. The place was taught for the narrow grip. Raises DeviceError."""
         if before.name == after.name:
             return ()
         if not place:
@@ -318,8 +320,8 @@ class PF400Driver(Wired):
         return (narrow, wide) if before.name == "narrow" else (wide, narrow)
 
     def _pick(self, spot: Spot, grip: Grip) -> bool:
-        """Take a plate. Returns whether something is between the fingers, which have come back with it. What
-        is so wide that the fingers would look open is released where it stood."""
+        """Take a plate, and move back. Returns whether the fingers hold something. If it is so wide that the
+        fingers would look open, they release it where it stood."""
         self._release(grip)
         self._come(spot)
         self._go(spot.pose, APPROACH)
@@ -337,7 +339,7 @@ class PF400Driver(Wired):
         return held
 
     def _make_not_taken_error(self, place: str) -> DeviceError:
-        """The error for an arm that has come back without a plate."""
+        """The error for an arm that has moved back without a plate."""
         if self._too_wide_mm is not None:
             return self.make_refusal(
                 f"what stands at {place} is {self._too_wide_mm:.1f} mm wide between the "
@@ -361,7 +363,7 @@ class PF400Driver(Wired):
         self._leave(spot)
 
     def _come(self, spot: Spot) -> None:
-        """Move over a place, by the way that leads there."""
+        """Move to above a place, through the poses that lead there."""
         self._fold((spot.through or (spot.pose,))[0][RAIL])
         self._inside = spot if spot.through else None
         for pose in spot.through:
@@ -369,7 +371,7 @@ class PF400Driver(Wired):
         self._go(spot.above, APPROACH if spot.through else TRAVEL)
 
     def _leave(self, spot: Spot) -> None:
-        """Move up, back by the same way, and fold."""
+        """Move up, then back through the same poses, and fold."""
         self._go(spot.above, APPROACH)
         for pose in reversed(spot.through):
             self._go(pose, APPROACH)
@@ -377,7 +379,7 @@ class PF400Driver(Wired):
         self._fold((spot.through or (spot.pose,))[0][RAIL])
 
     def _fold(self, rail: float) -> None:
-        """Fold the arm close to the column, and then move along the rail."""
+        """Fold the arm close to the column, then move along the rail."""
         here = self._read_joints()
         if not self._is_folded(here):
             self._go((*self._neutral, 0.0, here[RAIL]), TRAVEL)
@@ -391,7 +393,7 @@ class PF400Driver(Wired):
     # -- one motion --------------------------------------------------------------------------
 
     def _go(self, pose: Joints, profile: int) -> None:
-        """Move to a pose, and wait until the arm has come to rest; the fingers stay as they are."""
+        """Move to a pose, and wait until the arm stands still there. The fingers keep their width."""
         self.check_not_stopped()
         fingers = self._read_joints()[GRIPPER]
         joints = (*pose[:GRIPPER], fingers, *pose[RAIL:])
@@ -401,7 +403,7 @@ class PF400Driver(Wired):
         before = self._read_joints()
         while True:
             if self._halted.is_set():
-                # The motion may have been sent just after the halt.
+                # The motion command may have been sent after the ``halt``.
                 self._ask("halt")
                 self.check_not_stopped()
             time.sleep(POLL_S)
@@ -410,7 +412,7 @@ class PF400Driver(Wired):
             passed_s = time.monotonic() - began
             if at_rest and _find_difference(here, joints) < NEAR:
                 return
-            # Just after the command it may not have begun to move.
+            # Just after the command, the arm may not have begun to move.
             if (at_rest and passed_s > self.limit_s("begin", BEGIN_S)) or passed_s > self.limit_s(
                 "move", MOVE_S
             ):
@@ -427,8 +429,8 @@ class PF400Driver(Wired):
         )
 
     def _check_ready(self, slow: bool = False) -> Joints:
-        """The position of the arm. Raises DeviceError, before anything moves, if it may not move from
-        there."""
+        """The position of the arm, after it was attached and its speeds were set. Raises DeviceError, before
+        anything moves, if the arm may not move from there."""
         with self.report_no_effects():
             self._check_power()
             if self._is_free:
@@ -459,8 +461,8 @@ class PF400Driver(Wired):
         self._fold(here[RAIL])
 
     def _find_reached_place(self, here: Joints) -> Spot | None:
-        """The place with a way of its own, such as a shelf, near which the hand is: straight up, it would
-        hit what is above."""
+        """The place with an approach, such as a shelf, in which the hand is. There the hand must not move
+        straight up: it would hit what is above. None if the hand is in no such place."""
         taught = {place_of(self._setup, name) for name in self._setup.poses}
         spots = [self._find_spot(name) for name in self._through if name in taught]
         spots += [self._inside] if self._inside is not None else []
@@ -505,14 +507,14 @@ class PF400Driver(Wired):
         return self.make_refusal("its hand is full", "Put down what it holds: put_down.")
 
     def _choose_grip(self, wanted: str, pose: Joints, kind: str) -> Grip:
-        """The requested grip, else the one with which the place was taught."""
+        """The requested grip. If none is requested, the grip with which the place was taught."""
         side = wanted or ("wide" if pose[GRIPPER] > BETWEEN_GRIPS_MM else "narrow")
         return self._hand.find_grip(side, kind)
 
     # -- places ------------------------------------------------------------------------------
 
     def _find_spot(self, place: str, kind: str = "", through: str = "") -> Spot:
-        """The spot of a place. Raises DeviceError if the place, or a way to it, was not taught."""
+        """The spot of a place. Raises DeviceError if this place, or one on the way, was not taught."""
         here = place_of(self._setup, place)
         ways = _list_names(through) if through else self._through.get(here, ())
         above_mm = self._above_mm_of.get(here, self._above_mm)
@@ -521,7 +523,7 @@ class PF400Driver(Wired):
         )
 
     def _find_pose(self, place: str, kind: str = "") -> Joints:
-        """The pose that was taught for a type of labware, else for any. Raises DeviceError."""
+        """The pose that was taught for this labware type, else for all types. Raises DeviceError."""
         poses = {place_of(self._setup, name): pose for name, pose in self._setup.poses_for(kind).items()}
         pose = poses.get(place_of(self._setup, place))
         joints = len(protocol.AXES) if self._stands_on_rail() else RAIL
@@ -533,13 +535,13 @@ class PF400Driver(Wired):
         return tuple(pose) if self._stands_on_rail() else (*pose[:RAIL], 0.0)
 
     def _stands_on_rail(self) -> bool:
-        """Whether the arm stands on a rail: it reports six joints then, else five."""
+        """Whether the arm stands on a rail. With a rail it reports six joints, without one five."""
         if self._has_rail is None:
             self._read_joints()
         return bool(self._has_rail)
 
     def _check_reach(self, spot: Spot) -> None:
-        """Raise DeviceError, before anything moves, for a place that the arm cannot reach."""
+        """Raise DeviceError, before anything moves, if the arm cannot reach a place."""
         for pose in (spot.pose, spot.above, *spot.through):
             for axis, (low, high) in enumerate(self._limits):
                 value = pose[axis]
@@ -550,10 +552,10 @@ class PF400Driver(Wired):
                         "Teach the place again.",
                     )
 
-    # -- one question ------------------------------------------------------------------------
+    # -- one command -------------------------------------------------------------------------
 
     def _ask(self, question: str, timeout_s: float = 0.0) -> str:
-        """Ask, and return the data of the answer. Raises DeviceError for a negative code."""
+        """Send a command, and return the data of its reply. Raises DeviceError for a negative code."""
         answer_s = timeout_s or self.limit_s("answer", ANSWER_S)
         answer = self.link.exchange(question.encode(), answer_s).decode("ascii", "replace")
         code, _, data = answer.partition(" ")
@@ -605,7 +607,7 @@ class PF400Driver(Wired):
         return WHO
 
     def _ask_if_known(self, command: str) -> str:
-        """The controller's answer; empty if it does not know the command."""
+        """The data of the controller's reply. Empty if the controller refuses the command."""
         try:
             return self._ask(command).strip('" ')
         except LinkError:
@@ -614,8 +616,8 @@ class PF400Driver(Wired):
             return ""
 
     def _read_soft_limits(self) -> list[tuple[float, float]]:
-        """The arm's own limits where they are narrower. Columns and rails differ: theirs are those that the
-        arm reports."""
+        """The limits of each axis: the narrower ones of the driver's and the arm's own. Columns and rails
+        differ in length: for them, the limits that the arm reports replace the driver's."""
         ends = []
         for parameter in (protocol.SOFT_MINIMA, protocol.SOFT_MAXIMA):
             data = self._ask(f"pd {parameter}")
@@ -636,11 +638,11 @@ def _raise_pose(pose: Joints, up_mm: float) -> Joints:
 
 
 def _find_difference(one: Joints, other: Joints) -> float:
-    """The largest difference of any axis but the fingers, which yield to what they hold."""
+    """The largest difference of any axis except the fingers: they yield to what they hold."""
     pairs = zip(one, other, strict=True)
     return max(abs(a - b) for axis, (a, b) in enumerate(pairs) if axis != GRIPPER)
 
 
 def _list_names(configured: Any) -> tuple[str, ...]:
-    """The names of a setting that is one name or several."""
+    """The names in a setting that has one name or a list of names."""
     return (configured,) if isinstance(configured, str) else tuple(map(str, configured))

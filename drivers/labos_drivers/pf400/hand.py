@@ -1,7 +1,7 @@
-"""What the width of the fingers tells: they are open, they hold something, or nobody knows.
+"""The state of the fingers, from their width: open, holding something, shut, or unknown.
 
-A hand is empty only when its fingers are seen open. A width that is not known says nothing: a plate may be
-between them, and to open them would drop it.
+Actions that need an empty hand require open fingers. At an unknown width, a plate may be between the fingers.
+It would fall if they opened.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Grips = Mapping[str, Grip]
 
 
 class Fingers(NamedTuple):
-    """The state of the fingers, and the grip in which they hold something, if it is known."""
+    """The state of the fingers, and the grip with which they hold something (None: they do not)."""
 
     state: Literal["open", "holding", "unknown", "shut"]
     grip: Grip | None = None
@@ -30,7 +30,7 @@ class Fingers(NamedTuple):
 
 class Hand:
     """The grips of one arm: ``grips:`` of its configuration, and ``grips_of:`` for types of labware. Widths
-    are mm of the gripper's joint. Raises BadInput for grips that cannot be."""
+    are in mm of the gripper's joint. Raises BadInput for grips that are impossible or ambiguous."""
 
     def __init__(self, name: str, config: Mapping[str, Any]) -> None:
         self._name = name
@@ -50,7 +50,7 @@ class Hand:
         return self._of.get(kind, self._grips)[side]
 
     def read(self, width_mm: float) -> Fingers:
-        """The state of fingers that are so far apart (mm)."""
+        """The state of the fingers at this width (mm)."""
         if self._grasped is not None and abs(width_mm - self._grasped[1]) <= ABOUT_MM:
             return Fingers("holding", self._grasped[0])
         known = self._list_grips()
@@ -62,24 +62,24 @@ class Hand:
         return Fingers("shut") if width_mm < SHUT_MM else Fingers("unknown")
 
     def guess_grip(self, width_mm: float, kind: str) -> Grip:
-        """The grip in which something is held, from its width alone."""
+        """The grip of fingers that hold something, from their width (mm) alone."""
         return self.find_grip("wide" if width_mm > BETWEEN_GRIPS_MM else "narrow", kind)
 
     def grasp(self, grip: Grip, width_mm: float) -> None:
-        """Note that something is held since the fingers closed to this width (mm)."""
+        """Note that the fingers have closed on something at this width (mm)."""
         self._grasped = (grip, width_mm)
 
     def forget(self) -> None:
-        """Forget what is held: the fingers are about to open."""
+        """Forget what the fingers hold, before they open."""
         self._grasped = None
 
     def looks_open(self, width_mm: float) -> bool:
-        """Whether fingers that hold something at this width (mm) could later be mistaken for open ones."""
+        """Whether fingers that hold something at this width (mm) look open. Forgets the last grasp."""
         self._grasped = None
         return self.read(width_mm).state == "open"
 
     def describe_widths(self) -> str:
-        """The open widths, for people."""
+        """The open widths (mm), as a text for messages."""
         return " or ".join(f"{width:g}" for width in sorted({grip.open_mm for grip in self._list_grips()}))
 
     def _list_grips(self) -> list[Grip]:

@@ -1,4 +1,4 @@
-"""What the PF400 offers."""
+"""The actions of the PF400."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Where the hand of a PF400 is, and how to get it there: three links in a plane, a column, a rail.
+"""The kinematics of a PF400, which has three links in a plane, a column and a rail.
 
-x points away from the column's face and along the rail, y to the left, z up; x and y are 0 on the shoulder's
-axis with the rail at 0. Lengths and directions after AD-SDL/pf400_module, pf400_kinematics.py.
+x points away from the column's face and along the rail, y to the left, z up. x and y are 0 on the axis of the
+shoulder with the rail at 0. Lengths and directions are those of AD-SDL/pf400_module, pf400_kinematics.py.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def find_hand(joints: Joints) -> tuple[float, float, float, float]:
 
 
 def solve_reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
-    """Joints with the hand where ``joints`` have it, but pointing to ``yaw`` and from elsewhere on the
-    rail, with the elbow on the same side; None if the arm is too short, or too long."""
+    """Joints with the hand at the same position as with ``joints``, but with the direction ``yaw`` (degrees)
+    and the rail at ``rail`` (mm). The elbow stays on its side. None if the arm is too short or too long."""
     x, y, z, _ = find_hand(joints)
     x, y = x - rail - HAND_MM * cos(radians(yaw)), y - HAND_MM * sin(radians(yaw))
     bend = (hypot(x, y) ** 2 - INNER_MM**2 - OUTER_MM**2) / (2 * INNER_MM * OUTER_MM)
@@ -43,8 +43,8 @@ def solve_reach(joints: Joints, yaw: float, rail: float) -> Joints | None:
 
 
 def turn_hand(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
-    """Joints with the hand at the same spot, turned by so many degrees either way, from the nearest possible
-    position on the rail; None if it is impossible within the limits."""
+    """Joints with the hand at the same position, but turned by ``degrees_`` in either direction. The rail
+    moves as little as possible, in steps of 50 mm up to 400 mm. None if the limits do not allow it."""
     yaw = find_hand(joints)[3]
     for away in NEARBY_MM:
         for sign in (1, -1):
@@ -57,5 +57,5 @@ def turn_hand(joints: Joints, degrees_: float, limits: Limits) -> Joints | None:
 
 
 def _unwind(angle: float, other: float) -> float:
-    """The same angle, less than half a turn from another."""
+    """The same angle (degrees), at most half a turn away from another one."""
     return angle - 360 * round((angle - other) / 360)

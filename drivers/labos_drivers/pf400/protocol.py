@@ -1,8 +1,9 @@
-"""The PreciseFlex 400 on its wire: lines of the TCP command server (TCS), and what they mean.
+"""The protocol of the PreciseFlex 400: the lines of its TCP command server (TCS), and their meaning.
 
-Port 10100 is robot 1. Questions end with a line feed, answers with carriage return and line feed: a
-code (0 done, 1 done with a warning, negative refused or failed), a space, data. One answer to each
-question, in their order. Joints are column (mm), shoulder, elbow, wrist (degrees), gripper, rail (mm).
+Port 10100 is robot 1. A command ends with a line feed, a reply with carriage return and line feed. A reply
+has a code (0 done, 1 done with a warning, negative refused or failed), a space, and data. Each command has
+one reply, in the order of the commands. The joints are column (mm), shoulder, elbow, wrist (degrees),
+gripper, rail (mm).
 
 Sources: PyLabRobot/pylabrobot, pylabrobot/arms/precise_flex (which cites the TCS and GPL manuals);
 AD-SDL/pf400_module, src/pf400_interface.
@@ -32,7 +33,7 @@ ALL_HOLD = "freemode -1"
 
 
 def yields(axis: int) -> str:
-    """The command that frees one axis; the controller counts them from 1."""
+    """The command for free mode of one axis. The controller counts axes from 1."""
     return f"freemode {axis + 1}"
 
 
@@ -49,7 +50,7 @@ HARD_STOP, ATTACHED = 15, 21
 
 
 class Fault(msgspec.Struct, frozen=True):
-    """What a negative code says."""
+    """The meaning of a negative code, with the remedy and the effects."""
 
     meaning: str
     remedy: str = "Reset the module."
@@ -84,7 +85,7 @@ FAULTS = {
 
 
 class Grip(msgspec.Struct, frozen=True):
-    """How far the fingers are apart, in the gripper joint's own mm."""
+    """The open and the closed width of the fingers, in mm of the gripper's joint."""
 
     name: str
     open_mm: float

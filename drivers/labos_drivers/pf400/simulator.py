@@ -1,4 +1,4 @@
-"""A simulated PF400."""
+"""A simulated PF400 on the bench, without a wire."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ CRAWL = 8.0
 
 
 class PF400Simulator(Arm):
-    """An arm that turns its grip at a regrip place, if it was taught one. It has no joints, so that poses,
-    and the types of labware that they are for, make no difference."""
+    """An arm that changes its grip at the regrip place, if there is one. It has no joints. So it ignores
+    poses, and the types of labware for which they were taught."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -89,7 +89,7 @@ class PF400Simulator(Arm):
             await self.take_time(60)
 
     async def free(self, column: bool) -> None:
-        """A hand may guide it now."""
+        """Begin free mode: a person may now move the arm by hand."""
         with self.motion():
             if self.find_held_plate():
                 raise self.make_refusal("its hand is full")
@@ -103,7 +103,7 @@ class PF400Simulator(Arm):
             await self.take_time(19)
 
     def read_pose(self) -> list[float]:
-        """Nobody guides a simulated arm: it is folded, its fingers are open."""
+        """The pose of a folded arm with open fingers: this simulated arm is never moved by hand."""
         return [*NEUTRAL, NARROW.open_mm, 0.0]
 
     def reset(self) -> None:
@@ -112,7 +112,7 @@ class PF400Simulator(Arm):
         self._was_freed = False
 
     def observe(self) -> dict[str, Any]:
-        """As the controller does, it reports free mode only if it was set through the controller."""
+        """``free`` is reported in free mode and, as by the driver, after ``hold`` until a reset."""
         seen = {"free": self.is_free} if self.is_free or self._was_freed else {}
         return {**super().observe(), **seen}
 

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the PF400."""
+"""The declaration of the PF400 for the torture suite."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WAY = {"source": "bench.source", "target": "bench.target"}
 
 
 def _make_cold(setup: Setup) -> PF400OnWire:
-    """Without power, as it is after its switch was turned."""
+    """A simulated arm as after a power loss: without power, not attached, not homed."""
     return PF400OnWire(setup, started=False)
 
 

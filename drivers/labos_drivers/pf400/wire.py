@@ -1,8 +1,8 @@
-"""A simulated PF400 at the far end of a TCP connection: a command server, and an arm that moves in
-straight lines of its joints.
+"""A simulated PF400 at the far end of a TCP connection: a command server, and an arm. In a motion, all joints
+move at constant speeds and arrive together.
 
-It knows where it was taught places, as the bench has them; what its fingers meet there is for the
-world to say. Behind ``waitForEom``, while it homes and while its fingers move, it hears nothing.
+It has the taught poses of its setup. The world decides what is between its fingers there. Later commands wait
+after ``waitForEom``, ``pickplate`` and ``placeplate``, during homing and power-on, and while fingers move.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ COLLISION = -3100
 
 
 class PF400OnWire(OnLine):
-    """What the device is and does. ``started``: powered, attached and homed before; ``is_slippery``: what it
-    holds falls down on its way; ``wider_mm``: so much wider than the fingers expect is what they grip;
-    ``has_rail``: an arm without one tells five joints."""
+    """The simulated arm. ``started``: it is powered, attached and homed at first. ``is_slippery``: what it
+    holds falls down during a motion. ``wider_mm``: what it grips is wider by this than the closed width.
+    ``has_rail``: an arm without a rail reports five joints."""
 
     serial = "PF04-20000"
 
@@ -51,7 +51,7 @@ class PF400OnWire(OnLine):
         self.stop_is_pressed = False
         self.is_slippery = False
         self.wider_mm = 0.0
-        # What it held when its power went it holds still.
+        # After a power loss, the hand still holds what it held before.
         grip = protocol.NARROW
         fingers = grip.closed_mm if self.find_held_plate() else grip.open_mm
         self.joints: Joints = (*protocol.NEUTRAL, fingers, 0.0)
@@ -81,7 +81,7 @@ class PF400OnWire(OnLine):
         return self._way is not None
 
     def set_fingers(self, width_mm: float) -> None:
-        """Somebody moves its fingers by hand, round a plate or away from one."""
+        """Set the width of the fingers (mm). Tests call it for a person who moves them by hand."""
         self.joints = (*self.joints[:4], width_mm, *self.joints[5:])
 
     # -- receiving ---------------------------------------------------------------------------
@@ -100,7 +100,7 @@ class PF400OnWire(OnLine):
         name, *words = line.split()
         name = name.lower()
         if name in ("movej", "moveoneaxis", "move", "moveappro", "pickplate", "placeplate") and self._way:
-            # A second motion waits for the end of the first, and everything behind it waits too.
+            # A second motion waits for the end of the first, and all commands after it wait too.
             self._lines.appendleft(line)
             self._deaf = True
             return
@@ -253,14 +253,14 @@ class PF400OnWire(OnLine):
             self._send_done()
 
     def guide(self, joints: Joints) -> None:
-        """A person pushes it: only joints that yield go along."""
+        """A person pushes the arm: only the joints in free mode move."""
         here = enumerate(zip(self.joints, joints, strict=True))
         self.joints = tuple(new if axis in self.free_axes else old for axis, (old, new) in here)
 
     # -- moving ------------------------------------------------------------------------------
 
     def _parse_joints(self, words: list[str]) -> Joints:
-        """Joints from the words of a command; those that are left out stay as they are."""
+        """The joints in the words of a command. Joints that are left out keep their positions."""
         given = tuple(float(word) for word in words)
         if not 4 <= len(given) <= self._axes:
             raise ValueError("joints are missing")
@@ -271,7 +271,7 @@ class PF400OnWire(OnLine):
         return (taught[0] + self._clearance.get(station, 0.0), *taught[1:])
 
     def _begin(self, target: Joints, profile: int) -> None:
-        """Start a motion. The answer comes when it is accepted, long before it is done."""
+        """Start a motion. The reply is sent when the motion is accepted, long before its end."""
         if self._may_move(target):
             self._move(target, profile)
             self._send_done()
@@ -370,7 +370,7 @@ class PF400OnWire(OnLine):
         self._finish_after(FINGERS_S, open_hand)
 
     def _grasp(self, width: float) -> bool:
-        """Close the fingers; returns whether something is between them."""
+        """Close the fingers. Returns whether something is between them."""
         if self.find_held_plate():
             held = True
         else:
@@ -390,19 +390,19 @@ class PF400OnWire(OnLine):
         self.set_fingers(width)
 
     def _find_place_under(self, joints: Joints) -> str:
-        """The place that the hand is over."""
+        """The place below the hand; empty if there is none."""
         x, y, *_ = kinematics.find_hand(joints)
         return next(self._find_places_near((x, y), 10 * SPOT_MM), "")
 
     def _find_places_near(self, at: tuple[float, float], most_mm: float) -> Iterator[str]:
-        """Places not farther away than that, seen from above."""
+        """The places within ``most_mm`` of a point, seen from above."""
         for place, spots in self._spots.items():
             if any(dist(at, spot[:2]) < most_mm for spot in spots.values()):
                 yield place
 
     def _find_spot(self) -> str:
-        """The place, or the lid's place on the plate there, where the fingers are: round what they hold, or
-        else round what stands there."""
+        """The place where the fingers are, or the place of the lid on the plate there; empty if they are at
+        neither. Their grip point there depends on what they hold, else on what stands there."""
         x, y, z, _ = kinematics.find_hand(self.joints)
         held = self.find_held_plate()
         for place in self._find_places_near((x, y), SPOT_MM):
@@ -416,7 +416,7 @@ class PF400OnWire(OnLine):
         return ""
 
     def _find_grip_point(self, place: str, plate: str) -> tuple[float, ...] | None:
-        """The position at which the fingers get round a plate at a place: types of plates differ."""
+        """The position at which the fingers grip this type of plate at a place; None if it is unknown."""
         spots = self._spots[place]
         return spots.get(self.world.kind(plate)) or spots.get("")
 
@@ -438,7 +438,7 @@ class PF400OnWire(OnLine):
         self._visit(int(words[0]), work)
 
     def _visit(self, station: int, work: Callable[[], str]) -> None:
-        """Down to a station, and up again; answered at its end."""
+        """Move down to a station, do the work, and move up. The reply is sent at the end."""
         if not self._may_move(self._taught[station]):
             return
         self._deaf = True
@@ -451,10 +451,10 @@ class PF400OnWire(OnLine):
         target = self._taught[station]
         self._move((*target[:4], self.joints[4], *target[5:]), then=arrive)
 
-    # -- what goes wrong ---------------------------------------------------------------------
+    # -- faults ------------------------------------------------------------------------------
 
     def press_stop(self) -> None:
-        """Somebody hits the emergency stop."""
+        """A person presses the emergency stop."""
         self.after(0, self._cut_power, exact=True)
 
     def _cut_power(self) -> None:
@@ -472,10 +472,10 @@ class PF400OnWire(OnLine):
         self._deaf = False
         self._refuse(COLLISION)
 
-    # -- speaking ----------------------------------------------------------------------------
+    # -- replies -----------------------------------------------------------------------------
 
     def _finish_after(self, lab_s: float, what: Callable[[], None]) -> None:
-        """Do something after so many lab seconds; the controller does not hear commands meanwhile."""
+        """Do something after a number of lab seconds. Commands that come before then wait."""
         self._deaf = True
 
         def end() -> None:
@@ -485,7 +485,7 @@ class PF400OnWire(OnLine):
         self.after(lab_s, end)
 
     def _listen_again(self, report: str | None = None) -> None:
-        """Obey what has been waiting; before, send a report if there is one."""
+        """Send the report, if there is one. Then execute the commands that have waited."""
         self._deaf = False
         if report is not None:
             self._send_done(report)

@@ -1,4 +1,4 @@
-"""Drives a pipette's plunger over its serial line, or through the arm that carries it."""
+"""Drives the plunger of a pipette over its serial line, or through the arm that carries it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ StrokeUl = Annotated[float, msgspec.Meta(gt=0, le=5000)]
 
 
 class Stroke(msgspec.Struct, frozen=True):
-    """Start and end of a plunger's stroke, in steps. It is journalled, so that the next process can find out
-    by the position how far it came."""
+    """Start and target of a stroke of the plunger, in steps. It is journalled. So after a restart, the driver
+    can determine from the position how far the plunger moved."""
 
     start: int
     target: int
@@ -41,8 +41,8 @@ class Stroke(msgspec.Struct, frozen=True):
 
 
 class PipetteDriver(Wired):
-    """Moves are absolute, so that the position of the plunger afterwards shows how far a stroke came. There
-    is no sensor for liquid: that the plunger went so far is all that is known."""
+    """Moves are absolute. So the position of the plunger afterwards shows how far it moved in a stroke. There
+    is no sensor for liquid: only the position of the plunger is known."""
 
     deadlines = ("answer", "lost", "start", "eject", "slack")
     where = ("port", "192.168.0.40")
@@ -74,14 +74,14 @@ class PipetteDriver(Wired):
         return await self._move(-volume_ul, speed_ul_s)
 
     async def _move(self, change_ul: float, speed_ul_s: float) -> float:
-        """Move the plunger; returns the volume that is drawn up then (µL)."""
+        """Move the plunger; returns the drawn-up volume after the stroke (µL)."""
         stroke = await self.plan(change_ul)
         await note_handle(str(stroke))
         return await self.carry_out(stroke, speed_ul_s)
 
     @off_loop
     def plan(self, change_ul: float) -> Stroke:
-        """Plan a stroke; nothing moves. Raises DeviceError for a volume that does not fit."""
+        """Plan a stroke; nothing moves. Raises DeviceError for a volume that is not possible."""
         self.check_not_stopped()
         with self.report_no_effects():
             here = self._read_position()
@@ -96,7 +96,7 @@ class PipetteDriver(Wired):
 
     @off_loop
     def carry_out(self, stroke: Stroke, speed_ul_s: float) -> float:
-        """Start a stroke and wait for its end."""
+        """Start a stroke and wait for its end. Returns the drawn-up volume (µL)."""
         steps_s = round(speed_ul_s / self._ul_a_step)
         steps_s = min(max(steps_s, protocol.SLOWEST_STEPS_S), protocol.FASTEST_STEPS_S)
         with self.motion():
@@ -106,14 +106,15 @@ class PipetteDriver(Wired):
             except LinkError as error:
                 if error.effects == "none":
                     raise
-                # Whether it was heard shows in where the plunger is; if not, it may still be on its way.
+                # The position shows whether the pump got the command. If not, the command may still arrive.
                 with self.under_way():
                     return self._await_end(stroke, limit_s)
             return self._await_end(stroke, limit_s)
 
     @off_loop
     def follow(self, handle: str) -> float:
-        """Wait for the end of a stroke that was planned before, and perhaps begun."""
+        """Wait for the end of a stroke that was planned earlier and perhaps begun. Returns the drawn-up
+        volume (µL)."""
         with self.motion():
             stroke = Stroke.read(handle)
             return self._await_end(
@@ -137,7 +138,8 @@ class PipetteDriver(Wired):
         )
 
     def _await_rest(self, limit_s: float) -> None:
-        """Wait until the plunger rests; a line that fails for a while is asked again. Raises DeviceError."""
+        """Wait until the plunger stands still. While the link fails, the pump is asked again for the time
+        ``lost``. Raises DeviceError."""
         deadline = time.monotonic() + limit_s
         lost_s = self.limit_s("lost", LOST_S)
         while True:
@@ -150,8 +152,8 @@ class PipetteDriver(Wired):
             time.sleep(POLL_S)
 
     def _check_initialised(self, here: int) -> None:
-        """Check that the pump is initialised: one that had no power calls its position zero, wherever it
-        stands. A command to go where it is moves nothing. Raises DeviceError."""
+        """Check that the pump is initialised. After a loss of power it reports position zero, wherever the
+        plunger is. The check is a command to move to ``here``, so nothing moves. Raises DeviceError."""
         self._check_answer(self._ask(f"A{here}R"), "it was asked where it is", "unknown")
         self._await_rest(self.limit_s("slack", SLACK_S))
 
@@ -159,7 +161,7 @@ class PipetteDriver(Wired):
 
     @off_loop
     def initialise(self) -> None:
-        """Move the plunger to its end: everything that is drawn up comes out."""
+        """Move the plunger to its end: all drawn-up liquid comes out."""
         with self.motion():
             self._initialise()
 
@@ -191,7 +193,7 @@ class PipetteDriver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """The plunger stops where it is."""
+        """Stop the plunger where it is."""
         self._halted.set()
         self._order("T", run="")
 
@@ -201,7 +203,7 @@ class PipetteDriver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """Nothing: it feels neither tip nor liquid."""
+        """Check that the pump replies. Always empty: there is no sensor for a tip or for liquid."""
         self._ask("Q")
         return {}
 
@@ -219,7 +221,7 @@ class PipetteDriver(Wired):
         return int(answer.data)
 
     def _order(self, commands: str, run: str = "R") -> None:
-        """Send commands. Raises DeviceError: nothing moves if they are refused."""
+        """Send commands. Raises DeviceError if the pump refuses them; nothing moves then."""
         self._check_answer(self._ask(commands + run), f"it was told {commands}", "none")
 
     def _check_answer(self, answer: Answer, when: str, effects: str) -> None:
@@ -240,8 +242,8 @@ class PipetteDriver(Wired):
 
 
 def read_kind(setup: Setup) -> Kind:
-    """The kind of pump, from ``kind:``, with the volume of a whole stroke from ``volume_ul:``. Raises
-    DeviceError."""
+    """The kind of pump, from ``kind:`` of the config, with the volume of a full stroke (µL) from
+    ``volume_ul:``. Raises DeviceError."""
     named = setup.config.get("kind", "z_pump")
     if named not in protocol.KINDS:
         raise make_refusal(

@@ -1,4 +1,4 @@
-"""What the pipette offers."""
+"""The actions of the pipette."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""The pipette on its wire: the DT protocol of OEM pumps.
+"""The pipette's protocol: the DT protocol of OEM pumps.
 
-9600 baud, 8N1, or the bytes of the arm's tool connector on TCP 54321. A question is ``/``, the pump's
-address, commands and a carriage return; ``R`` at the end of commands runs them. An answer is ``/0``, a
-status character, data, 0x03, carriage return and line feed. Of the status, bit 5 says that the pump is
-ready, the low four bits are an error.
+The line is serial (9600 baud, 8N1), or TCP port 54321 for the bytes of the arm's tool connector. A message
+is ``/``, the pump's address, commands and a carriage return; ``R`` at the end of the commands runs them. A
+reply is ``/0``, a status character, data, 0x03, carriage return and line feed. In the status, bit 5 means
+that the pump is ready. The low four bits are an error code.
 
 Sources: AD-SDL/ur_module, src/ur_interface/ur_tools/pipette_driver.py (Z pump); libairz of the CDXBot (Air-Z:
 ``Z``, ``E0``, steps); TriContinent C24000 product manual, Cavro XP 3000 manual (errors).
@@ -38,8 +38,8 @@ MEANINGS = {
 
 
 class Kind(NamedTuple):
-    """What is different between the pumps: how they are initialised, eject a tip (empty: they do not), how
-    far the plunger goes, and what that is in µL."""
+    """What differs between pumps: the command that initialises, the command that ejects a tip (empty: the
+    pump cannot), the full stroke of the plunger in steps, and its volume in µL."""
 
     initialise: str
     eject: str
@@ -63,7 +63,7 @@ class Answer(NamedTuple):
 
 
 class Frames:
-    """Packs commands to one pump, takes its answers."""
+    """The framing: packs commands to one pump, and takes its replies."""
 
     def pack(self, message: bytes) -> bytes:
         return b"/" + ADDRESS + message + b"\r"
@@ -88,6 +88,6 @@ def read(message: bytes) -> Answer:
 
 
 def write(ready: bool, error: int, data: str = "") -> bytes:
-    """As the pump says it."""
+    """The bytes of a reply, as the pump sends it."""
     status = bytes((ALWAYS | READY * ready | error,))
     return b"\xff/0" + status + data.encode("ascii") + bytes((ETX,)) + b"\r\n"

@@ -12,7 +12,7 @@ STARTS_S, EJECTS_S = 10.0, 5.0
 
 
 class PipetteSimulator(Simulated):
-    """A plunger; what it draws up, nobody knows."""
+    """The plunger of a pipette. The liquid that it draws up is not simulated."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -58,5 +58,5 @@ class PipetteSimulator(Simulated):
         return round(self._ul, 2)
 
     def observe(self) -> dict[str, Any]:
-        """Nothing: it feels neither tip nor liquid."""
+        """Always empty: there is no sensor for a tip or for liquid."""
         return {}

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the pipette."""
+"""The declaration of the pipette for the torture suite."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simulated pipette at the far end of its line: a stepper, a plunger, and a program of few letters."""
+"""A simulated pipette at the far end of its line: a stepper motor, a plunger, and commands of one letter."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ WORD = re.compile(r"([A-Za-z])(\d*)")
 
 
 class PipetteOnWire(OnLine):
-    """What the device is and does. ``started``: it has been initialised before. Its plunger may be
-    ``stuck``."""
+    """The simulated pipette. ``started``: it has been initialised before. ``stuck``: its plunger does not
+    move."""
 
     line_end = b"\r"
 
@@ -33,7 +33,7 @@ class PipetteOnWire(OnLine):
         self._error = 0
 
     def put(self, position: int) -> None:
-        """Somebody moves the plunger."""
+        """A person moves the plunger."""
         self.position = self._goal = position
 
     # -- receiving ---------------------------------------------------------------------------
@@ -64,7 +64,7 @@ class PipetteOnWire(OnLine):
         return protocol.write(not self._busy, error)
 
     def _run(self, commands: str) -> int:
-        """Carry out commands; returns the error, or 0 if they begin."""
+        """Start commands. Returns an error code, or 0 if the pump accepts them."""
         if commands == self.kind.initialise:
             return self._initialise()
         if commands == self.kind.eject and self.initialised:
@@ -88,7 +88,7 @@ class PipetteOnWire(OnLine):
                 return BAD_COMMAND
         return 0
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def _initialise(self) -> int:
         self.initialised = True
@@ -137,4 +137,4 @@ class PipetteOnWire(OnLine):
             self._note_position(self._compute_position())
 
     def damage(self, crash: Crash) -> None:
-        """It notices nothing."""
+        """Do nothing: the pump does not notice a collision."""

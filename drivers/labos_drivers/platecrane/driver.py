@@ -1,4 +1,4 @@
-"""Drives a real PlateCrane over its serial port."""
+"""The driver of a real PlateCrane over its serial port."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ higher, they would close above a plate. Published workflows raise by 650 and 700
 
 
 class PlateCraneDriver(HudsonDriver):
-    """Counts in motor steps."""
+    """The positions of this arm are in motor steps."""
 
     dialect = PlateCraneDialect()
     sizes = SIZES

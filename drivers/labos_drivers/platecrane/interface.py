@@ -1,4 +1,4 @@
-"""What the PlateCrane offers."""
+"""The node of the PlateCrane: its stations and actions."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ STACK_HOLDS = 20
 
 
 class PlateCraneSimulator(Arm):
-    """An arm that leaves every lift and turn to a single axis, and takes its time."""
+    """A slow arm, because it moves one axis after the other."""
 
     transfer_s = 60.0
 

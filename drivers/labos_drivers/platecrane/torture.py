@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the PlateCrane."""
+"""The declaration of the PlateCrane for the torture suite."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labos_drivers.platecrane.wire import PlateCraneOnWire
 
 
 def _make_cold(setup: Setup) -> PlateCraneOnWire:
-    """Not homed, as it is after its switch was turned."""
+    """A crane that is not homed, as after it was switched on."""
     return PlateCraneOnWire(setup, homed=False)
 
 

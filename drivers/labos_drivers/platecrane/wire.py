@@ -9,7 +9,7 @@ from labos_drivers.platecrane.simulator import STACKS
 
 
 class PlateCraneOnWire(HudsonOnWire):
-    """Its own stacks and nests were taught to it; the numbers are made up."""
+    """Has taught poses for its own stacks and nests; their numbers are invented."""
 
     dialect = PlateCraneDialect()
     sizes = SIZES

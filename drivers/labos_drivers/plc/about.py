@@ -1,4 +1,4 @@
-"""What follows from a mapping: what does not fit together in it, and what the module offers."""
+"""Derives two things from a mapping: the description of the module, and the faults of the mapping."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ MODELS = ("plc", "modbus_plc")
 Path = tuple[str | int, ...]
 
 
-# -- what the module offers --------------------------------------------------------------------
+# -- the description ---------------------------------------------------------------------------
 
 
 def describe(mapping: PlcMapping) -> Description:
-    """The description of the module, as a driver has one."""
+    """The description of the module, as other drivers have it."""
     about = About.model_validate(
         {
             "description": mapping.description,
@@ -66,7 +66,8 @@ def _describe_action(mapping: PlcMapping, action: MappedAction) -> dict[str, Any
 
 
 def _describe_args(mapping: PlcMapping, action: MappedAction) -> dict[str, dict[str, Any]]:
-    """The arguments: what the mapping does not say follows from the point that the argument is written to."""
+    """The arguments. Type, unit and limits that the mapping does not give are those of the point to which
+    the argument is written."""
     found = {name: arg.model_dump(exclude_unset=True) for name, arg in action.args.items()}
     for write in _list_writes(action):
         name, point = find_argument(write.value), mapping.points.get(write.point)
@@ -92,11 +93,12 @@ def _list_writes(action: MappedAction) -> list[Write]:
     return [*action.set, *([action.start] if action.start else [])]
 
 
-# -- what does not fit together ----------------------------------------------------------------
+# -- faults of the mapping ---------------------------------------------------------------------
 
 
 def find_flaws(mapping: PlcMapping) -> Iterator[Flaw]:
-    """Unknown names, writes to points that cannot be written, and values that a point cannot have."""
+    """The faults: unknown names, writes to points that cannot be written, and values that a point or a
+    variable cannot have. Also conditions without a comparison, actions without a start, and bad effects."""
     for name, action in mapping.actions.items():
         yield from _find_action_flaws(mapping, name, action)
     state = mapping.state
@@ -174,7 +176,7 @@ def _find_value_flaws(mapping: PlcMapping, at: Path, values: Mapping[str, Any]) 
 
 
 def _check_value(mapping: PlcMapping, name: str, value: Any, at: Path) -> Iterator[Flaw]:
-    """A variable with conditions has only the values that they are written for."""
+    """A variable with ``values`` can have only these values and ``otherwise``."""
     variable = mapping.variables[name]
     values = [*variable.values, variable.otherwise]
     if variable.values and value not in values:

@@ -1,9 +1,9 @@
 """Drives a PLC by its mapping.
 
-A PLC goes on by itself when the connection is lost. So a poll that fails is asked again for a while, and
-what is seen afterwards is believed only if the PLC shows that it is the attempt that was begun: by the
-number of the handshake, or because its program was not started anew (``boot``) since it took the start.
-Nothing that moves is ever written twice.
+A PLC continues an action by itself when the connection is lost. So a failed poll is repeated until the
+deadline ``patience``. The values that are read afterwards count only if the PLC shows that they belong to
+this attempt. It shows this by the number of the handshake, or by ``boot``: its program was not restarted
+since it answered the start. A value that starts a motion is never written twice.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ NOT_TAKEN = "the PLC does not show that it has accepted this attempt"
 
 
 class StartedAction(msgspec.Struct):
-    """What the journal keeps of an attempt: its arguments, its ``number`` in the handshake, when the PLC's
-    program was started (``boot``), whether the start was ``taken``."""
+    """The journal's record of an attempt: its arguments, its ``number`` in the handshake, the value of the
+    point ``boot`` before the start, and whether the PLC has answered the start (``taken``)."""
 
     args: dict[str, Any] = {}
     number: int = 0
@@ -56,11 +56,11 @@ class StartedAction(msgspec.Struct):
 
 
 class _Withdrawn(DeviceError):
-    """The PLC has not taken a number, and never will."""
+    """The PLC has not accepted a number. The number was withdrawn and cannot be accepted later."""
 
 
 class PlcDriver(Wired):
-    """Commands of a PLC with this ``mapping``."""
+    """The driver of a PLC with this ``mapping``."""
 
     deadlines = ("patience", "take", "reset")
     where = ("address", "10.0.7.5")
@@ -73,14 +73,14 @@ class PlcDriver(Wired):
 
     @off_loop
     def connect(self) -> None:
-        """Find the PLC, and all points in it; nothing moves. Raises NotConnected, DeviceError."""
+        """Connect to the PLC and read all points once; nothing moves. Raises NotConnected, DeviceError."""
         self.points.link.open()
         self.points.read(self.mapping.points)
 
     def disconnect(self) -> None:
         self.points.link.close()
 
-    # -- how it is ---------------------------------------------------------------------------
+    # -- state -------------------------------------------------------------------------------
 
     @during_motion
     def is_idle(self) -> bool:
@@ -88,7 +88,7 @@ class PlcDriver(Wired):
         return not self._is_busy(seen)
 
     def _is_busy(self, seen: dict[str, PointValue]) -> bool:
-        """Whether the PLC is busy; it is, unless it says that it is not."""
+        """Whether the PLC is busy. An undecided condition counts as busy; without conditions it is idle."""
         values = ((condition, seen[condition.point]) for condition in self.mapping.state.busy)
         return any(is_met(condition, value) or is_undecided(condition, value) for condition, value in values)
 
@@ -127,7 +127,8 @@ class PlcDriver(Wired):
 
     @off_loop
     def prepare(self, name: str, args: dict[str, Any], action_id: str) -> StartedAction:
-        """Check that the action may begin, and write what moves nothing. Raises DeviceError (``none``)."""
+        """Check that the action may start, and write the values of ``set``, which move nothing. Raises
+        DeviceError (effects ``none``)."""
         self.check_not_stopped()
         action = self.mapping.actions[name]
         with self.report_no_effects():
@@ -138,10 +139,11 @@ class PlcDriver(Wired):
 
     @off_loop
     def start(self, name: str, begun: StartedAction) -> bool:
-        """Start it, with one write; returns whether the PLC has answered. Raises DeviceError."""
+        """Start the action with one write; returns whether the PLC has answered. Without a handshake, a
+        missing answer raises LinkError. Raises DeviceError."""
         action, handshake = self.mapping.actions[name], self.mapping.handshake
         try:
-            with self._commands:  # a stop comes before the start, and then there is none, or after it
+            with self._commands:  # a stop comes before the start and prevents it, or is written after it
                 self.check_not_stopped()
                 if handshake is not None:
                     self.points.write(handshake.number, begun.number)
@@ -151,7 +153,7 @@ class PlcDriver(Wired):
             raise
         except LinkError:
             if handshake is None:
-                raise  # whether it was heard, nothing in the PLC can tell
+                raise  # nothing in the PLC can show whether it received the start
             return False
         begun.taken = True
         return True
@@ -159,7 +161,7 @@ class PlcDriver(Wired):
     @off_loop
     def await_end(self, name: str, begun: StartedAction, *, sure: bool) -> Any:
         """Wait for the end; returns the result. ``sure``: the PLC has answered the start, and the connection
-        was not lost since. Raises DeviceError, OutcomeUnknown."""
+        was not lost since then. Raises DeviceError, OutcomeUnknown."""
         try:
             with self.under_way():
                 return self._await_end(name, self.mapping.actions[name], begun, sure=sure)
@@ -179,7 +181,8 @@ class PlcDriver(Wired):
                 raise DeviceError(f"{self.name}: {describe_condition(condition, value)}.", remedy=remedy)
 
     def _choose_number(self, action_id: str, seen: dict[str, PointValue]) -> int:
-        """A number for this attempt that is not the one before, and never 0."""
+        """A number for this attempt, computed from the action's id. It is never 0, and is not the number that
+        the PLC shows now. Without a handshake it is 0."""
         handshake = self.mapping.handshake
         if handshake is None:
             return 0
@@ -192,7 +195,7 @@ class PlcDriver(Wired):
     def _read_boot(self, seen: dict[str, PointValue]) -> PointValue | None:
         return seen[self.mapping.boot] if self.mapping.boot else None
 
-    # -- its end -----------------------------------------------------------------------------
+    # -- end of an action --------------------------------------------------------------------
 
     def _await_end(self, name: str, action: MappedAction, begun: StartedAction, *, sure: bool) -> Any:
         began = silent_since = time.monotonic()
@@ -208,7 +211,7 @@ class PlcDriver(Wired):
                     raise
                 time.sleep(POLL_S)
                 continue
-            self._check_not_halted(name)  # what is seen now may be what the stop did
+            self._check_not_halted(name)  # after a stop, the values may be an effect of the stop
             silent_since = time.monotonic()
             sure = sure or self._is_this_attempt(seen, begun)
             if sure:
@@ -231,7 +234,8 @@ class PlcDriver(Wired):
             time.sleep(POLL_S)
 
     def _is_this_attempt(self, seen: dict[str, PointValue], begun: StartedAction) -> bool:
-        """Whether the PLC shows this attempt, after the connection was lost. Raises OutcomeUnknown."""
+        """Whether the values belong to this attempt, after the connection was lost. Raises OutcomeUnknown if
+        the PLC cannot show this, or was restarted."""
         handshake = self.mapping.handshake
         if handshake is not None:
             if begun.boot != self._read_boot(seen):
@@ -244,13 +248,14 @@ class PlcDriver(Wired):
         return True
 
     def _withdraw(self, name: str, begun: StartedAction, seen: dict[str, PointValue]) -> None:
-        """A number that the PLC has not taken must not be taken later. Returns if it was taken after all.
-        Raises DeviceError (``none``) if it never will be, OutcomeUnknown if it may still be on its way."""
+        """Withdraw a number that the PLC has not accepted, so that it cannot accept it later. Returns if the
+        PLC has accepted it meanwhile. Raises DeviceError (effects ``none``) if it can no longer accept it.
+        Raises OutcomeUnknown if the PLC does not hold the number, which may still arrive."""
         handshake = self.mapping.handshake
         if handshake is None or seen[handshake.number] != begun.number:
             raise OutcomeUnknown(NOT_TAKEN)
         self.points.write(handshake.number, seen[handshake.taken])
-        time.sleep(CYCLE_S)  # in the cycle that runs, the PLC may still see the number
+        time.sleep(CYCLE_S)  # in its present cycle, the PLC may still see the number
         if self.points.read([handshake.taken])[handshake.taken] != begun.number:
             raise _Withdrawn(
                 f"{self.name} has not accepted {name}, which was withdrawn.",
@@ -265,7 +270,7 @@ class PlcDriver(Wired):
         if handshake is not None:
             has_ended = (seen[handshake.taken], seen[handshake.done]) == (begun.number, begun.number)
         else:
-            # The PLC may show for a moment what was before it took the start.
+            # For a short time, the PLC may still show its state from before the start.
             has_ended = began or not (action.done or self.mapping.state.busy)
         done = [_with_args(condition, begun.args) for condition in action.done]
         return has_ended and all(is_met(condition, seen[condition.point]) for condition in done)
@@ -296,7 +301,7 @@ class PlcDriver(Wired):
             return {key: values[point] for key, point in action.result.items()}
         return values[action.result]
 
-    # -- stopping and recovering -------------------------------------------------------------
+    # -- stop and reset ----------------------------------------------------------------------
 
     async def stop(self) -> None:
         self._halted.set()
@@ -312,8 +317,9 @@ class PlcDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Write what brings the PLC out of an error, and check that it is. A number that it has not taken is
-        withdrawn before, so that nothing begins to move by that."""
+        """Write the values of ``reset``, and wait until the PLC reports no error. Before that, withdraw a
+        number that the PLC has not accepted, so that the reset starts no motion. Raises DeviceError if the
+        PLC still reports an error at the deadline ``reset``."""
         handshake = self.mapping.handshake
         if handshake is not None:
             seen = self.points.read([handshake.number, handshake.taken])
@@ -321,7 +327,7 @@ class PlcDriver(Wired):
                 self.points.write(handshake.number, seen[handshake.taken])
                 time.sleep(CYCLE_S)
         self.points.write_all(self.mapping.reset, {})
-        time.sleep(CYCLE_S)  # before that, neither a stop nor the reset need have been seen
+        time.sleep(CYCLE_S)  # before that, the PLC may not yet have seen a stop or the reset
         until = time.monotonic() + self.limit_s("reset", RESET_S)
         while (error := self._find_error(self.points.read(self._list_watched_points()))) is not None:
             if time.monotonic() > until:
@@ -330,10 +336,10 @@ class PlcDriver(Wired):
             time.sleep(POLL_S)
         self.resume()
 
-    # -- what is seen ------------------------------------------------------------------------
+    # -- values that were read ---------------------------------------------------------------
 
     def _list_watched_points(self, action: MappedAction | None = None) -> set[str]:
-        """The points that show the state of an action."""
+        """The points that show the state of the PLC, and that of the action if one is given."""
         state, handshake = self.mapping.state, self.mapping.handshake
         conditions = [*state.busy, *state.error]
         if action is not None:

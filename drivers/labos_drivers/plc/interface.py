@@ -1,4 +1,4 @@
-"""What a PLC offers: what its mapping says."""
+"""The node of a PLC. Its actions come from its mapping."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Plc(ReportsTrouble):
 
     @classmethod
     def mapping(cls) -> PlcMapping:
-        """What this module's PLC is."""
+        """The mapping of this module's PLC; that of the hatch if the module has none of its own."""
         return cls.own or hatch()
 
     @classmethod
@@ -58,7 +58,7 @@ class Plc(ReportsTrouble):
     async def connect(self) -> None:
         mapping = self.mapping()
         if self.setup.wire and self.own is not None:
-            # Behind the simulated wire there is the hatch, and no other PLC.
+            # Only the hatch can be simulated behind a wire; a module with its own mapping is not.
             self.setup = msgspec.structs.replace(self.setup, wire=False)
         on_bench = type("OnBench", (MappedSimulator,), {"mapping": mapping})
         self.devices = (on_bench, HatchOnTcp, type("Driver", (PlcDriver,), {"mapping": mapping}))  # type: ignore[misc]
@@ -77,7 +77,7 @@ class Plc(ReportsTrouble):
         return carry_out
 
     async def carry_out(self, spec: ActionSpec, kwargs: dict[str, Any]) -> Any:
-        """An action of the mapping. Raises DeviceError, OutcomeUnknown."""
+        """Carry out an action of the mapping; returns its result. Raises DeviceError, OutcomeUnknown."""
         args = {arg.name: arg.default for arg in spec.args if not arg.required} | kwargs
         device, action = self.device, self.mapping().actions[spec.name]
         if isinstance(device, MappedSimulator):
@@ -93,7 +93,9 @@ class Plc(ReportsTrouble):
             return await device.await_end(spec.name, begun, sure=sure)
 
     async def take_up(self, name: str, handle: str) -> Any:
-        """What the PLC shows of an attempt that was under way when the node died; nothing is written."""
+        """Wait for the end of an attempt that was in progress when the node died; returns its result. Nothing
+        is started, but a number that the PLC does not accept is withdrawn. Raises DeviceError,
+        OutcomeUnknown."""
         action = self.mapping().actions.get(name)
         if action is None or action.only_reads or isinstance(self.device, MappedSimulator):
             raise OutcomeUnknown(INTERRUPTED)

@@ -1,9 +1,9 @@
-"""What is written of a PLC: its points, and which of them mean what.
+"""The mapping of a PLC: its points, and their meanings.
 
-The words are those of ``epics:`` and ``opcua:`` (``set``, ``start``, ``done``, ``failed``, ``result``,
+The keys are those of ``epics:`` and ``opcua:`` (``set``, ``start``, ``done``, ``failed``, ``result``,
 ``timeout``; ``state``, ``boot``, ``reset``, ``stop``, ``labware``, ``resources``), and those of ``about:``
-(``stations``, ``args``, ``effects``, ``duration``). A name where a condition or a write may stand is a bit
-that is set.
+(``stations``, ``args``, ``effects``, ``duration``). In place of a condition, the name of a point means that
+this bit is set. In place of a write, it means to set this bit.
 """
 
 from __future__ import annotations
@@ -34,21 +34,22 @@ _WHOLE = re.compile(r"\{(\w+)\}")
 
 
 def find_argument(value: Any) -> str:
-    """The argument that a written value names; empty if it is a value."""
+    """The name of the argument in ``{argument}``; empty for any other value."""
     found = _WHOLE.fullmatch(value) if isinstance(value, str) else None
     return found[1] if found else ""
 
 
 def fill_argument(value: Any, args: Mapping[str, Any]) -> Any:
-    """The value, with the argument in place of ``{argument}``."""
+    """The value itself, or for ``{argument}`` the value of this argument."""
     name = find_argument(value)
     return args[name] if name else value
 
 
 class Point(Part):
     """One value in the PLC: a ``coil``, a ``discrete`` input, an ``input`` or a ``holding`` register, by its
-    address on the wire (from 0). What is told is ``raw × scale + offset``, in ``unit``. ``bit`` is one of a
-    register (0: the lowest). Of a value in several registers, ``word_order`` says which word comes first."""
+    address on the wire (from 0). The value is ``raw × scale + offset``, in ``unit``. ``bit`` selects one bit
+    of a register (0: the lowest). ``word_order`` is the order of the registers of a longer value: ``big``
+    has the high word first."""
 
     coil: Address | None = None
     discrete: Address | None = None
@@ -91,18 +92,18 @@ class Point(Part):
 
     @property
     def kind(self) -> Type:
-        """The type, also where the table does not say it."""
+        """The type; if the mapping does not set it, ``bool`` for a bit and ``uint16`` for a register."""
         bare: Type = "bool" if self.table in ("coil", "discrete") or self.bit is not None else "uint16"
         return self.type or bare
 
     @property
     def width(self) -> int:
-        """Bits or registers."""
+        """The number of bits (coils, discrete inputs) or of registers."""
         return REGISTERS.get(self.kind, 1)
 
     @property
     def value_type(self) -> Literal["bool", "int", "float"]:
-        """What a value is, once it is read."""
+        """The type of the value after decoding."""
         if self.kind == "bool":
             return "bool"
         whole = "float" not in self.kind and self.scale.is_integer() and self.offset.is_integer()
@@ -110,17 +111,17 @@ class Point(Part):
 
 
 class Write(Part):
-    """A value for a point; ``{argument}`` is that of the action."""
+    """A value to write to a point; ``{argument}`` stands for an argument of the action."""
 
     point: str
     value: Value = True
 
 
 class Condition(Part):
-    """What a point tells: ``is`` one of these values, ``near`` a number ``within`` a tolerance, not below
-    ``minimum``, not above ``maximum``; nothing of it: a bit that is set. With ``not``, only its values say
-    the opposite: any other says nothing, so that the module is not idle and a place not empty by it. ``why``
-    and ``remedy`` are what a person is told by it."""
+    """A condition on the value of a point: it ``is`` one of these values, is ``near`` a number (``within`` a
+    tolerance), is not below ``minimum``, not above ``maximum``. Without these keys: the bit is set. With
+    ``not``, only its values mean the opposite. Any other value is undecided: then the module counts as busy,
+    and it is not reported whether a place is empty. ``why`` and ``remedy`` are shown to a person."""
 
     point: str
     is_: Value | list[Value] | None = Field(default=None, alias="is")
@@ -153,9 +154,10 @@ Conditions = Annotated[list[Condition], BeforeValidator(_parse_list)]
 
 
 class MappedAction(Part):
-    """An action. ``needs`` is looked at before anything is written; ``set`` is what moves nothing, ``start``
-    the one write that moves; it is ``done`` when all of these hold, and has ``failed`` when one of those
-    does. ``sets`` are the module's variables afterwards, ``effects`` what else it does to the bench."""
+    """An action. ``needs`` is checked before anything is written. ``set`` has writes that move nothing,
+    ``start`` is the one write that starts the motion. The action has ended when all conditions of ``done``
+    hold, and has failed when one of ``failed`` holds. ``sets`` has the values of the module's variables
+    afterwards, ``effects`` the other changes of the bench."""
 
     description: str
     needs: Conditions = []
@@ -178,20 +180,21 @@ class MappedAction(Part):
 
     @property
     def result_points(self) -> list[str]:
-        """The points that the result is read from."""
+        """The points from which the result is read."""
         named = self.result.values() if isinstance(self.result, dict) else [self.result]
         return [name for name in named if name]
 
 
 class Code(Part):
-    """The meaning of a number of ``why``, and the remedy."""
+    """The meaning of one number that the point ``why`` can have, and the remedy."""
 
     why: str
     remedy: str = ""
 
 
 class State(Part):
-    """How the PLC says that it is busy or in error. ``why`` is a point with the number of the fault."""
+    """The conditions that show that the PLC is busy or in error; one is enough. ``why`` is a point with the
+    number of the fault, ``codes`` has the meaning of each number."""
 
     busy: Conditions = []
     error: Conditions = []
@@ -200,8 +203,9 @@ class State(Part):
 
 
 class Handshake(Part):
-    """The PLC's program knows each attempt by a number. It begins when ``number`` changes, shows in
-    ``taken`` the number that it began last, in ``done`` the one that it ended last, and well."""
+    """The points with which the PLC's program identifies each attempt by a number. It starts the action when
+    ``number`` changes. ``taken`` shows the number that it accepted last, ``done`` the number of the last
+    attempt that ended successfully."""
 
     number: str
     taken: str
@@ -209,9 +213,9 @@ class Handshake(Part):
 
 
 class Variable(Part):
-    """A variable of the module: what a ``point`` tells, or the first of ``values`` whose conditions all
-    hold (else ``otherwise``). ``start`` is its value before anybody has looked, ``rest`` the one that lets
-    others use the module."""
+    """A variable of the module: the value of a ``point``, or the first of ``values`` whose conditions all
+    hold (else ``otherwise``). ``start`` is its value before the first observation, ``rest`` the value at
+    which other runs may use the module."""
 
     start: Value
     point: str = ""
@@ -227,7 +231,7 @@ class Variable(Part):
 
 
 class PlcMapping(Part):
-    """The whole table."""
+    """The whole mapping of a PLC."""
 
     description: str
     points: dict[Name, Point]

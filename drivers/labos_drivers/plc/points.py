@@ -1,4 +1,4 @@
-"""Reads and writes named points of one PLC, adjacent ones in one message."""
+"""Reads and writes named points of one PLC. Adjacent points are read in one message."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Span = tuple[Where, int, int]
 
 
 def make_link(address: str, name: str, config: Mapping[str, Any]) -> ModbusLink:
-    """The link for an address: a host, ``host:port``, or a serial port. Raises DeviceError."""
+    """The link for an address: host, ``host:port``, or a serial port or its URL (RTU). Raises DeviceError."""
     unit = int(config.get("unit", 1))
     if os.path.isabs(address) or re.match(r"COM\d+$|socket:|rfc2217:", address):
         settings = {key: config[key] for key in ("baudrate", "parity", "stopbits", "late_s") if key in config}
@@ -32,14 +32,14 @@ def make_link(address: str, name: str, config: Mapping[str, Any]) -> ModbusLink:
 
 
 class Points:
-    """The points of a mapping behind a link."""
+    """The points of a mapping, read and written over a link."""
 
     def __init__(self, link: ModbusLink, points: Mapping[str, Point]) -> None:
         self.link, self._points = link, points
 
     def read(self, names: Iterable[str]) -> dict[str, PointValue]:
-        """The values of points. Each value comes in one message; values of different messages may be of
-        different moments. Raises LinkError, DeviceError."""
+        """The values of points. Each value is read in one message. Two values may come in different messages,
+        and thus be from different moments. Raises LinkError, DeviceError."""
         wanted = {name: self._points[name] for name in names}
         spans = _group_spans(wanted.values())
         found: dict[Span, list[int]] = {span: self._read(span) for span in spans}
@@ -60,7 +60,7 @@ class Points:
             self.link.write_holding(point.address, words, timeout_s=ANSWER_S)
 
     def write_all(self, writes: Iterable[Write], values: Mapping[str, Any]) -> None:
-        """Write several values, one after the other."""
+        """Write several values, one message after the other. Raises LinkError, DeviceError."""
         for write in writes:
             self.write(write.point, fill_argument(write.value, values))
 
@@ -88,7 +88,7 @@ def _is_within(span: Span, point: Point) -> bool:
 
 
 def _group_spans(points: Iterable[Point]) -> list[Span]:
-    """The fewest requests that ask for no address between the points."""
+    """As few requests as possible for these points. No request covers an address without a point."""
     spans: list[Span] = []
     for point in sorted(points, key=lambda p: (p.table, p.address, p.width)):
         if spans:

@@ -1,6 +1,6 @@
-"""A PLC that is not there: what its mapping says is done in its nominal time.
+"""A simulated PLC for any mapping. Each action takes its nominal duration and sets its variables.
 
-It tries a workflow, not a mapping: for that, the mapping has to meet a PLC.
+It tests a workflow, not the mapping: a mapping can only be tested with a PLC.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from labos_drivers.plc.mapping import MappedAction, PlcMapping, fill_argument
 
 
 class MappedSimulator(Simulated):
-    """Any PLC. A station that is accessible only while a variable has a value is shut while it has
-    another."""
+    """A simulated PLC with this ``mapping``. A station is shut while a variable does not have the value that
+    gives access to it."""
 
     mapping: ClassVar[PlcMapping]
 
@@ -24,7 +24,7 @@ class MappedSimulator(Simulated):
         self._reach()
 
     async def do(self, name: str, args: dict[str, Any]) -> Any:
-        """Do what the table says of the action."""
+        """Carry out an action as the mapping describes it; returns its result. Raises DeviceError."""
         action = self.mapping.actions[name]
         if action.only_reads:
             return self._make_result(action)
@@ -40,7 +40,7 @@ class MappedSimulator(Simulated):
         return self._make_result(action)
 
     def _make_result(self, action: MappedAction) -> Any:
-        """A result that the points could have."""
+        """An invented result, with values that the points can have."""
         points = {name: self.mapping.points[name] for name in action.result_points}
         values = {n: False if p.value_type == "bool" else p.minimum or 0.0 for n, p in points.items()}
         if isinstance(action.result, dict):

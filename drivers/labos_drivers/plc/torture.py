@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the PLC behind the hatch."""
+"""What the torture suite needs to know about the PLC of the hatch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ HERE = "labos_drivers.plc.driver"
 
 
 def _push_door(open_: bool, hatch: Hatch, world: World) -> None:
-    """Somebody pushes the door, which is disengaged from its motor at rest."""
+    """A person moves the door by hand: the motor does not hold it while it stands still."""
     hatch.position = 1.0 if open_ else 0.0
     if world.is_shut(hatch.nest) == open_:
         world.gate("person", hatch.nest, shut=not open_)

@@ -1,4 +1,5 @@
-"""Values in registers: 16 bits each, the high byte first; numbers of more words in either order."""
+"""Converts values from and to registers, and checks conditions. A register has 16 bits, the high byte first.
+The words of longer numbers may have either order."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ PointValue = bool | int | float
 
 
 def decode(point: Point, words: Sequence[int]) -> PointValue:
-    """The value of a point. Raises DeviceError if it is no number."""
+    """The value of a point from its bits or words. Raises DeviceError for infinity and NaN."""
     if point.kind == "bool":
         return bool(words[0] >> point.bit & 1) if point.bit is not None else bool(words[0])
     order = words if point.word_order == "big" else list(reversed(words))
@@ -38,7 +39,7 @@ def decode(point: Point, words: Sequence[int]) -> PointValue:
 
 
 def encode(name: str, point: Point, value: PointValue) -> list[int]:
-    """The words to write for a value. Raises DeviceError (``none``) if it does not fit."""
+    """The words to write for a value. Raises DeviceError (effects ``none``) if the point cannot have it."""
     if point.kind == "bool":
         return [int(bool(value))]
     if not is_within_limits(point, value):
@@ -80,14 +81,15 @@ def is_met(condition: Condition, value: PointValue) -> bool:
 
 
 def is_undecided(condition: Condition, value: PointValue) -> bool:
-    """Whether a value neither meets a condition nor is among those that say the opposite."""
+    """Whether a value neither meets a condition nor is one of its ``not`` values; false without ``not``."""
     if condition.not_ is None or is_met(condition, value):
         return False
     return value not in (condition.not_ if isinstance(condition.not_, list) else [condition.not_])
 
 
 def describe_condition(condition: Condition, value: PointValue | None = None) -> str:
-    """A condition for people: its own text, or the value of its point."""
+    """A text about a condition for people: its ``why``, else its point with ``value`` or with the wanted
+    value."""
     if condition.why:
         return condition.why
     shown = value if value is not None else condition.is_ if condition.is_ is not None else "as it is"

@@ -1,8 +1,8 @@
-"""A simulated PLC at the far end of a network or a serial line: pymodbus' own server, and behind it the
-program of the hatch in ``hatch.yaml``.
+"""A simulated PLC at the far end of a network or a serial line: the server of pymodbus, with the program of
+the hatch in ``hatch.yaml`` behind it.
 
-It works as a PLC does: in each cycle it reads what was written to it, works, and shows what is. What it
-shows is therefore a cycle old, and a motion begins a cycle after it was asked for.
+It works like a PLC: in each cycle it reads the values that were written to it, works, and shows its state.
+The values that it shows are therefore up to one cycle old. A motion begins up to one cycle after its request.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ READ_COILS, READ_DISCRETES, READ_HOLDING, READ_INPUTS = 1, 2, 3, 4
 
 
 class Hatch(Timed):
-    """A door that a motor slides, and its PLC's program. ``jammed``, ``curtain`` and ``emergency`` are what
-    happens to it; while it is ``local``, it takes no orders."""
+    """A sliding door with a motor, and the program of its PLC. ``jammed``, ``curtain`` and ``emergency`` are
+    set from outside and cause faults. While ``local`` is true, no motion can be started over Modbus."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
@@ -57,7 +57,7 @@ class Hatch(Timed):
         self._server: Any = None
         self._is_ready = threading.Event()
 
-    # -- life --------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------
 
     def start(self) -> None:
         super().start()
@@ -88,14 +88,14 @@ class Hatch(Timed):
         return SimDevice(id=UNIT, simdata=(bits, list(bits), words, list(words)))
 
     async def _serve(self, memory: Any) -> Any:
-        """A server that listens; ``address`` is told from then on."""
+        """Start a server that listens; from then on ``address`` is known."""
         raise NotImplementedError
 
     def _do(self, work: Coroutine[Any, Any, T]) -> T:
         return self._loop.run_until_complete(work)
 
     def listen(self, timeout_s: float) -> None:
-        """The server works for the rest of a cycle, then the program does."""
+        """Let the server work for one cycle or ``timeout_s``, whichever is shorter, then the program."""
         self._do(asyncio.sleep(min(timeout_s, CYCLE_S)))
         self._cycle()
 
@@ -110,7 +110,7 @@ class Hatch(Timed):
         if reset and not self.emergency:
             self.fault = 0
         if halt and number not in (0, self.taken):
-            self.taken = number  # both in one cycle: it is taken, and does not move
+            self.taken = number  # stop and number in one cycle: accept the number, but do not move
             self._fail(HALTED)
         self._watch(halt)
         if number not in (0, self.taken) and not (self.fault or self._motor or self.local):
@@ -154,7 +154,7 @@ class Hatch(Timed):
             self.world.work(self.name, "locks")
 
     def _fail(self, fault: int) -> None:
-        """The motor stands still, wherever the door is."""
+        """Stop the motor and show the fault. The door stays at its present position."""
         self.forget_plans()
         if self._motor:
             way = min((self.now_s() - self._since_s) / self._needs_s, 0.9) if not self.jammed else 0.1
@@ -187,7 +187,7 @@ class Hatch(Timed):
 
 
 class HatchOnTcp(Hatch):
-    """On the network."""
+    """The hatch behind Modbus TCP."""
 
     @property
     def address(self) -> str:

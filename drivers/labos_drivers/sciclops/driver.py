@@ -1,4 +1,4 @@
-"""Drives a real SciClops over USB, or over a serial port."""
+"""Drives a SciClops over USB or a serial port."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SIZES = Sizes(
 
 
 class SciclopsDriver(HudsonDriver):
-    """Counts in millimetres and degrees. Next to other arms it is kept slow."""
+    """Uses millimetres and degrees. The default speed is only 10 %, because other arms may be near."""
 
     where = ("port", "usb")
     dialect = SciclopsDialect()
@@ -37,5 +37,5 @@ class SciclopsDriver(HudsonDriver):
 
     @off_loop
     def get_plate(self, tower: str, target: str) -> None:
-        """The topmost plate of a tower."""
+        """Move the topmost plate of a tower to a target. Raises DeviceError."""
         self._carry((tower, 0.0), (target, 0.0))

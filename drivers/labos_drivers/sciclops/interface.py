@@ -1,4 +1,4 @@
-"""What the SciClops offers."""
+"""The node of the SciClops, with its actions."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ TOWER_HOLDS = 20
 
 
 class SciclopsSimulator(Arm):
-    """An arm that feels for the top of a tower: an empty one is an error, no accident."""
+    """An arm that touches a tower from above to find its top. An empty tower is an error, not a crash."""
 
     transfer_s = 40.0
 

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the SciClops."""
+"""What the torture suite needs to know about the SciClops."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from labos_drivers.sciclops.wire import SciclopsOnWire
 
 
 def _make_cold(setup: Setup) -> SciclopsOnWire:
-    """Not homed, as it is after its switch was turned."""
+    """A simulated SciClops that is not homed, as after it is switched on."""
     return SciclopsOnWire(setup, homed=False)
 
 

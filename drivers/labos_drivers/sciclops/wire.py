@@ -1,4 +1,4 @@
-"""A simulated SciClops; a byte pipe stands in for its USB endpoints."""
+"""A simulated SciClops. A serial line replaces its USB endpoints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from labos_drivers.sciclops.simulator import TOWERS
 
 
 class SciclopsOnWire(HudsonOnWire):
-    """Its towers and nests were taught to it; the numbers are made up."""
+    """The simulated SciClops. Its towers and nests are taught points with invented coordinates."""
 
     dialect = SciclopsDialect()
     sizes = SIZES

@@ -1,4 +1,4 @@
-"""Drives a SOLO through a gateway to its maker's program."""
+"""Drives a SOLO through a gateway to SOLOSoft, its maker's program."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from labos_drivers.solo import protocol
 
 
 class SoloDriver(GatewayDriver):
-    """The protocol goes to the gateway whole; the end is that the program was busy and is idle again."""
+    """Sends the whole text of a protocol to the gateway. The gateway's hands report the end when the program
+    was busy and is idle again."""
 
     instrument = "solo"
 

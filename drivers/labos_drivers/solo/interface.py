@@ -1,4 +1,4 @@
-"""What the SOLO offers."""
+"""The node of the SOLO, with its actions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Solo(OnBenchOrWire):
     devices = (SoloSimulator, SoloOnWire, SoloDriver)
     device: SoloSimulator | SoloDriver
 
-    # What the protocol's steps say; a column of tips if they do not.
+    # Tips: the number in the protocol's steps; if it is not certain, at least one column (8).
     @action(
         Needs(),
         Requires("labware", "sealed", False),
@@ -44,7 +44,7 @@ class Solo(OnBenchOrWire):
         ],
     ) -> None:
         """Run a protocol of 69 steps at most on what stands on the deck."""
-        # The driver looks at what it sends; a simulated handler has no program that would crash.
+        # The driver checks a protocol before it sends it. The simulated device does not, so it is done here.
         if isinstance(self.device, SoloSimulator) and (file := Path(protocol_path)).is_file():
             await asyncio.to_thread(protocol.read_protocol, self.setup.name, file)
         await self.device.run_protocol(protocol_path)

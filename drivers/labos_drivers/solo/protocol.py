@@ -1,7 +1,7 @@
-"""SOLOSoft's protocol files (``.hso``), as far as what must not be sent can be told from them.
+"""Reads SOLOSoft's protocol files (``.hso``): checks them, counts tips, and finds dispensed volumes.
 
-Text with carriage return and line feed: the plate at each of eight positions, a line each, then the
-steps; each ends with a line ``!@#$``. Source: AD-SDL/hudson-liquidhandling,
+A file is text. Lines end with carriage return and line feed. The first eight lines name the plate at each
+position. Then come the steps; each step ends with a line ``!@#$``. Source: AD-SDL/hudson-liquidhandling,
 src/liquidhandling/hudson/SoloSoft.py and docs/SoloSoft.md.
 """
 
@@ -25,8 +25,8 @@ STEPS = {
 
 
 def read_protocol(driver: str, file: Path) -> str:
-    """The text of a protocol. Raises DeviceError for one that the program would not take: nothing has
-    moved."""
+    """The text of a protocol. Raises DeviceError (effects ``none``) if there is no such file, if it is too
+    large, or if the program would not open it."""
     why, text = "there is no such file", ""
     if file.is_file():
         data = file.read_bytes()
@@ -40,7 +40,7 @@ def read_protocol(driver: str, file: Path) -> str:
 
 
 def find_flaw(text: str) -> str:
-    """Why the program would not open a protocol; empty if nothing is known against it."""
+    """The reason why the program would not open a protocol; empty if no reason is found."""
     lines = text.splitlines()
     if text and "\r\n" not in text:
         return "its lines do not end with carriage return and line feed"
@@ -64,7 +64,8 @@ REMEDY = "Write the numbers into its GetTip and Loop steps, as SOLOSoft does."
 
 
 def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count:
-    """The tips that the steps of a protocol get; those in a loop as often as it says."""
+    """The number of tips that the steps of a protocol get; tips in a loop count once for each round. The
+    Count has a doubt if the number is not certain."""
     text = content.decode("utf-8", "replace")
     if why := find_flaw(text):
         return Count(0.0, why, REMEDY)
@@ -89,7 +90,7 @@ def count_used_tips(name: str, content: bytes, args: Mapping[str, Any]) -> Count
 
 
 def _split_steps(lines: list[str]) -> Iterator[list[str]]:
-    """Each step with its properties, a line each."""
+    """Each step as a list of lines: its name, then its properties."""
     step: list[str] = []
     for line in lines:
         if line.strip() == STEP_END:
@@ -100,7 +101,7 @@ def _split_steps(lines: list[str]) -> Iterator[list[str]]:
 
 
 def _parse_integer(step: list[str], number: int) -> int | None:
-    """A property that is a whole number from 0; None if it is not."""
+    """The line ``number`` of a step as an integer; None if it is missing or not an integer of 0 or more."""
     return int(step[number]) if len(step) > number and step[number].isdecimal() else None
 
 
@@ -108,8 +109,8 @@ ROWS, COLUMNS = "ABCDEFGH", 12
 
 
 def find_dispensed(text: str, liquids: Mapping[str, str]) -> dict[str, dict[str, float]]:
-    """The volumes that the steps of a protocol put into wells (µL by liquid and well); ``liquids`` has the
-    liquid at each position that it takes from."""
+    """The volumes that the steps of a protocol dispense (µL by liquid and well). ``liquids`` has the liquid
+    at each position from which the steps aspirate; other positions are ignored."""
     found: dict[str, dict[str, float]] = {}
     liquid = ""
     for step in _split_steps(text.splitlines()[POSITIONS:]):
@@ -123,7 +124,7 @@ def find_dispensed(text: str, liquids: Mapping[str, str]) -> dict[str, dict[str,
 
 
 def _read_matrix(step: list[str]) -> Iterator[tuple[str, float]]:
-    """The volumes that a step has for single wells: eight lines of twelve numbers."""
+    """The wells and volumes (µL) above 0 in a step. A step has eight lines of twelve numbers."""
     rows = [line.split(",") for line in step if line.count(",") == COLUMNS - 1]
     for row, volumes in zip(ROWS, rows, strict=False):
         for column, volume in enumerate(volumes, 1):

@@ -11,7 +11,7 @@ POSITIONS = tuple(f"Position{number}" for number in range(1, 9))
 
 
 class SoloSimulator(Deck):
-    """``liquids`` in its configuration says what stands at positions that are no stations of the lab."""
+    """``liquids`` in its configuration has the liquid at each position from which protocols aspirate."""
 
     drawers = POSITIONS
 
@@ -21,6 +21,6 @@ class SoloSimulator(Deck):
         await self.pipette(300, protocol=protocol, **make_facts(dispensed))
 
     def read_text(self, protocol: str) -> str:
-        """The text of a protocol; empty if it is only a name."""
+        """The text of a protocol; empty if there is no file with this name."""
         file = Path(protocol)
         return file.read_text("utf-8", "replace") if file.is_file() else ""

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the SOLO."""
+"""What the torture suite needs to know about the SOLO."""
 
 from __future__ import annotations
 

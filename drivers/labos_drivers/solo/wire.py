@@ -8,7 +8,7 @@ from labos_drivers.solo.simulator import SoloSimulator
 
 
 class SoloOfText(SoloSimulator):
-    """A SOLO that is given the text of a protocol, not a path."""
+    """A simulated SOLO that receives the text of a protocol, not its path."""
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)

@@ -1,4 +1,4 @@
-"""Drives an Infinite over USB, or whatever carries its bytes."""
+"""The driver of an Infinite over USB, or over another wire for its bytes."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ Spectra = dict[float, dict[str, float]]
 
 
 class TecanDriver(Wired):
-    """``BY`` is no end: the carrier is believed to be where it says it is when it has come to rest, and a
-    row is measured when each of its wells has been told of."""
+    """``BY`` is not the end of a motion: the carrier's position is checked when the reader is on standby. A
+    row is complete when the reader has reported each of its wells."""
 
     deadlines = ("answer", "gate", "row", "init")
     where = ("port", "usb")
@@ -82,7 +82,7 @@ class TecanDriver(Wired):
     def measure(
         self, method: str, start_nm: float, end_nm: float, step_nm: float, wells: int, name: str
     ) -> Attachment:
-        """Measure spectra; returns a table as Magellan exports one: tabs, UTF-16, wavelengths in the first
+        """Measure spectra; returns a table as Magellan exports it: tabs, UTF-16, wavelengths in the first
         line."""
         if method:
             raise self.make_refusal(
@@ -123,7 +123,7 @@ class TecanDriver(Wired):
 
     @contextmanager
     def _scan(self) -> Iterator[None]:
-        """Lock the reader's keys for a run; whatever happens, the end of the run is sent."""
+        """Lock the reader's keys for a measurement, and end it on the reader, also after a DeviceError."""
         self._order("KEYLOCK ON")
         self._scans = True
         try:
@@ -175,8 +175,8 @@ class TecanDriver(Wired):
         return protocol.read_calibration(next(filter(protocol.is_calibration, packets)))
 
     def _read_row(self, row: int, nm: float, grid: Grid, calibration: Calibration) -> dict[str, float]:
-        """Measure a row. Rows go back and forth. Y moves alone first: X and Y at once spoil the first wells
-        (PyLabRobot)."""
+        """Measure a row; every second row is measured from right to left. Y moves alone first: if X and Y
+        move together, the values of the first wells are wrong (PyLabRobot)."""
         columns = list(range(grid.columns))[:: -1 if row % 2 else 1]
         first, last, y = grid.x(columns[0]), grid.x(columns[-1]), grid.y(row)
         self._order(f"ABSOLUTE MTP,Y={y}")
@@ -203,8 +203,8 @@ class TecanDriver(Wired):
         return found
 
     def _read_packets(self, limit_s: float, enough: Any) -> list[bytes]:
-        """Packets of numbers until the reader is on standby again; other messages are ignored. Raises
-        DeviceError."""
+        """The packets of numbers until the reader is on standby again. Other messages are ignored. Raises
+        DeviceError if the reader refuses, or if these packets are not ``enough``."""
         deadline = time.monotonic() + limit_s
         found: list[bytes] = []
         while True:
@@ -224,7 +224,7 @@ class TecanDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Home all axes; the carrier comes out."""
+        """Home all axes; then the carrier moves out."""
         self.resume()
         self._order("INIT FORCE", self.limit_s("init", INIT_S))
         with self.under_way():
@@ -232,7 +232,8 @@ class TecanDriver(Wired):
             self._drive(protocol.OUT)
 
     async def stop(self) -> None:
-        """A measurement ends after its row; the carrier ends what it has begun."""
+        """End a measurement after its row. A motion of the carrier cannot be stopped: it continues to its
+        end, and DeviceError is raised."""
         if self._scans:
             self._halted.set()
         else:
@@ -244,7 +245,7 @@ class TecanDriver(Wired):
 
     @off_loop
     def observe(self) -> dict[str, Any]:
-        """The plate sensor is valid when the carrier has come in."""
+        """The gate, and the plate sensor, which is valid after the carrier has moved in."""
         position = self._read_position()
         seen: dict[str, Any] = {}
         if position in (protocol.IN, protocol.OUT):
@@ -259,7 +260,7 @@ class TecanDriver(Wired):
     # -- one question ------------------------------------------------------------------------
 
     def _ask(self, question: str, limit_s: float = 0.0) -> str:
-        """Ask, and return the text of the answer. Raises DeviceError."""
+        """Ask a question; returns the text of the answer. Raises DeviceError."""
         self._frames.forget()
         message = self.link.exchange(question.encode(), limit_s or self.limit_s("answer", ANSWER_S))
         if message[:1] == b"\0":
@@ -269,8 +270,8 @@ class TecanDriver(Wired):
         return text
 
     def _order(self, command: str, limit_s: float = 0.0) -> None:
-        """Send a command and wait until it is done: a busy reader queues it. Raises DeviceError, with nothing
-        done if it is refused."""
+        """Send a command and wait until it is done; a busy reader queues it. Raises DeviceError. Its effects
+        are ``none`` if the first answer refuses the command."""
         text = self._ask(command, limit_s)
         if text in (protocol.STANDBY, protocol.TAKEN):
             return

@@ -1,4 +1,4 @@
-"""What the Infinite offers."""
+"""The node of the Infinite: its stations and actions."""
 
 from __future__ import annotations
 

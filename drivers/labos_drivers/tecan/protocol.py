@@ -1,12 +1,12 @@
-"""The Infinite 200 (M series) on its wire: USB bulk transfers of framed text, and of measured numbers.
+"""The protocol of the Infinite 200 (M series): USB bulk transfers of framed text, and of measured numbers.
 
 A question is 0x02, text, 0x03, two zeros, the length, a check sum (exclusive or of the text, and of 1) and a
-carriage return. An answer is framed in the same way; ``<n>,BIN:`` announces n bytes of numbers and four more,
-big-endian. ``ST`` says that it stands by, ``BY#T<ms>`` that it is busy for so long at most, ``+`` that it has
-taken a setting, ``-`` and ``ERR…`` that it has not.
+carriage return. An answer has the same frame. ``<n>,BIN:`` announces n bytes of numbers (big-endian) and four
+more bytes. ``ST`` means standby, and ``BY#T<ms>`` busy for at most this time. ``+`` means that a setting is
+accepted, ``-`` and ``ERR…`` that a command is refused.
 
-Sources: PyLabRobot/pylabrobot, pylabrobot/plate_reading/tecan/infinite_backend.py (0.2.2, and its later
-version: queries of the carrier and of the plate sensor).
+Sources: PyLabRobot/pylabrobot, pylabrobot/plate_reading/tecan/infinite_backend.py (0.2.2, and a later version
+for the queries of the carrier and of the plate sensor).
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ FLASHES, BEAM_UM = 25, 700
 
 
 class Grid(NamedTuple):
-    """Wells of a plate as ANSI/SLAS 4-2004 has them: rows, columns, where A1 is from the left and from the
-    back, and the pitch, in mm."""
+    """The wells of a plate according to ANSI/SLAS 4-2004: rows, columns, the distance of A1 from the left and
+    from the back, and the pitch, in mm."""
 
     rows: int
     columns: int
@@ -61,7 +61,7 @@ GRIDS = {96: Grid(8, 12, 14.38, 11.24, 9.0), 384: Grid(16, 24, 12.12, 8.99, 4.5)
 
 
 class Calibration(NamedTuple):
-    """Dark and bright of the measuring and the reference diode."""
+    """The values of the measuring diode and of the reference diode, without light (dark) and with it."""
 
     dark: int
     bright: int
@@ -79,7 +79,7 @@ def frame(text: str) -> bytes:
 
 
 def list_wavelengths(start_nm: float, end_nm: float, step_nm: float) -> list[float]:
-    """In nm, from the first to the last, to a tenth; empty if the end is before the start."""
+    """From start to end in nm, rounded to a tenth. Empty if the end is more than a step before the start."""
     count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
     return [round(start_nm + number * step_nm, 1) for number in range(count)]
 
@@ -90,7 +90,7 @@ def bandwidth_nm(wavelength_nm: float) -> float:
 
 
 class Frames:
-    """Takes texts (as they are) and packets of numbers (after a zero byte) out of what has come."""
+    """Takes messages out of the received bytes: texts, and packets of numbers after a zero byte."""
 
     def __init__(self) -> None:
         self._announced = 0
@@ -100,7 +100,7 @@ class Frames:
         return frame(message.decode("ascii"))
 
     def forget(self) -> None:
-        """Forget announced packets: the connection was lost."""
+        """Forget an announced packet. It does not come any more if the connection was lost."""
         self._announced = 0
 
     def take(self, buffer: bytearray) -> bytes | None:
@@ -138,7 +138,7 @@ class Frames:
             return None
         text, trailer = bytes(buffer[1:end]), bytes(buffer[end + 1 : end + 5])
         del buffer[: end + 5]
-        # The meaning of the device's own trailer is not published: where it is made as ours, it has to fit.
+        # The meaning of the device's trailer is not published. If it is built like ours, it has to fit.
         if trailer[:2] == b"\0\0" and trailer[2] == len(text) & 0xFF and trailer[3] != check_sum(text):
             raise BadFrame(f"the check sum of {text!r} is wrong")
         if not text.isascii() or not text.decode().isprintable():
@@ -158,13 +158,13 @@ def is_measurement(packet: bytes) -> bool:
 
 
 def read_calibration(packet: bytes) -> Calibration:
-    """The first of its items."""
+    """The first item of a packet."""
     _, _, _, dark, bright, _, reference_dark, reference_bright = struct.unpack_from(">IHHHHHHH", packet, 4)
     return Calibration(dark, bright, reference_dark, reference_bright)
 
 
 def write_calibration(wavelength_nm: float, calibration: Calibration) -> bytes:
-    """As the device sends it."""
+    """The packet as the device sends it."""
     head = struct.pack(">HH", 0, round(wavelength_nm * 10))
     return head + struct.pack(
         ">IHHHHHHH",
@@ -180,19 +180,19 @@ def write_calibration(wavelength_nm: float, calibration: Calibration) -> bytes:
 
 
 def read_measurement(packet: bytes) -> tuple[float, list[tuple[int, int]]]:
-    """Wavelength in nm, and pairs of sample and reference."""
+    """The wavelength in nm, and pairs of the values of sample and reference."""
     (tenths,) = struct.unpack_from(">H", packet, 2)
     pairs = [struct.unpack_from(">HH", packet, at + 6) for at in range(4, len(packet), 10)]
     return tenths / 10, [(sample, reference) for sample, reference in pairs]
 
 
 def write_measurement(wavelength_nm: float, sample: int, reference: int) -> bytes:
-    """As the device sends it: one item, so that it is no calibration."""
+    """The packet as the device sends it. It has one item, so it differs from a calibration in its length."""
     return struct.pack(">HH6xHH", 1, round(wavelength_nm * 10), sample, reference)
 
 
 def optical_density(calibration: Calibration, pairs: Sequence[tuple[int, int]]) -> float:
-    """Of the mean transmittance. Raises ValueError for what cannot be."""
+    """The optical density by the mean transmittance, at most ``MOST_OD``. Raises ValueError without light."""
     through = calibration.bright - calibration.dark
     seen = [
         (s - calibration.dark) / (r - calibration.reference_dark)
@@ -208,7 +208,7 @@ def optical_density(calibration: Calibration, pairs: Sequence[tuple[int, int]]) 
 
 
 def write_table(spectra: Mapping[float, Mapping[str, float]], grid: Grid) -> bytes:
-    """Optical densities by wavelength and well, as Magellan exports them: tabs, UTF-16."""
+    """The table of optical densities by wavelength and well, as Magellan exports it: tabs, UTF-16."""
     lines = ["\t".join(["*", *(f"{nm:g}nm" for nm in spectra)])]
     for row in range(grid.rows):
         for column in range(grid.columns):

@@ -18,8 +18,8 @@ from labos_drivers.tecan.protocol import GRIDS, MOST_OD, write_table
 def absorbance(
     plate: str, well: str, nm: float, contents: dict[str, dict[str, float]] | None = None
 ) -> float:
-    """Of what was pipetted into the plate's wells (``contents``). A plate into which nothing was holds
-    something of its own: a band about some wavelength, the same each time."""
+    """The absorbance of a well at a wavelength (nm), by what was pipetted into the plate (``contents``). If
+    nothing was, each well has an absorption band. It depends on plate and well, and is the same each time."""
     if contents:
         return absorbance_of(contents.get(well, {}), nm)
     seed = crc32(f"{plate}/{well}".encode())
@@ -28,8 +28,8 @@ def absorbance(
 
 
 def optics_of(world: World, plate: str) -> Callable[[str, float], float]:
-    """A function for the optical density of a plate's wells at a wavelength (nm): by the polymers that were
-    made in it, else by what was pipetted into it."""
+    """A function for the optical density of a plate's wells at a wavelength (nm). It uses the polymers that
+    were made in the plate, else what was pipetted into it."""
     polymers = _polymers.find_polymers(world, plate)
     contents = {} if polymers else world.contents(plate)
     nothing = _polymers.Polymer((0.0, 0.0, 0.0), 1.0)
@@ -39,7 +39,7 @@ def optics_of(world: World, plate: str) -> Callable[[str, float], float]:
 
 
 class TecanSimulator(Gated):
-    """Reads what is on its carrier, with noise. A well with a bubble reads as no number."""
+    """Measures the plate on its carrier, with noise. The value of a well with a bubble is NaN."""
 
     variable = "gate"
     gate_s = 10.0
@@ -77,7 +77,7 @@ class TecanSimulator(Gated):
         self.open(*self.behind)
 
     def observe(self) -> dict[str, Any]:
-        """The plate is felt when the carrier is in."""
+        """The gate, and whether a plate is there: its sensor sees it only while the carrier is in."""
         seen = super().observe()
         if self.is_closed():
             seen["labware"] = {"default": bool(self.top(self.place("default")))}

@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the Infinite."""
+"""The declaration of the Infinite for the torture suite."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ TORTURE = Torture(
         Fault("its carrier jams", _jam, _free),
         Fault.by_setting("it refuses whatever it is told", "refuses"),
     ),
-    motion="close_gate",  # that of a measurement: tests/drivers/tecan_measuring.py
+    motion="close_gate",  # measurements are interrupted in tests/drivers/tecan_measuring.py
     waits={f"{HERE}:GATE_S": 8.0, f"{HERE}:ROW_S": 4.0, f"{HERE}:INIT_S": 8.0, f"{HERE}:ANSWER_S": 1.5},
     foreign=(Foreign("PyLabRobot", "0.2.2", "tests/drivers/test_tecan_wire.py"),),
 )

@@ -1,4 +1,4 @@
-"""A simulated Infinite 200 M; a byte pipe stands in for its USB endpoints."""
+"""A simulated Infinite 200 M, with a pipe for bytes instead of its USB endpoints."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ GATE_S, MOVE_S, INIT_S, REFERENCE_S, WELL_S = 4.0, 0.3, 8.0, 2.0, 0.5
 
 
 class TecanOnWire(OnWire):
-    """What the device is and does: questions are answered at once, orders one after the other. Its lamp may
-    be dead, its carrier ``jammed``; it may refuse whatever it is told to do. The carrier takes ``gate_s``
-    out or in."""
+    """The simulated device. It answers questions at once, and carries out commands one after the other. Its
+    lamp may be dead (``lamp_dead``), its carrier ``jammed``, or it ``refuses`` every command. The carrier
+    needs ``gate_s`` (lab seconds) to move out or in."""
 
     def __init__(self, setup: Setup, end: FarEnd | None = None, *, gate_s: float = GATE_S) -> None:
         super().__init__(setup, end)
@@ -39,22 +39,22 @@ class TecanOnWire(OnWire):
         self._waiting: list[str] = []
 
     def push(self) -> None:
-        """Somebody pushes the carrier in by hand; nothing is felt."""
+        """A person pushes the carrier in by hand; the plate sensor is not read."""
         self.position, self.sensor = protocol.IN, "UNDEFINED"
         self.world.gate("somebody", self.place("default"), shut=True)
 
     def pull(self) -> None:
-        """Somebody pulls it out by hand."""
+        """A person pulls the carrier out by hand."""
         self.position = protocol.OUT
         self.world.gate("somebody", self.place("default"), shut=False)
 
     def free(self) -> None:
-        """Somebody frees the carrier. If it was stuck on its way, it stands by where it is."""
+        """A person frees the carrier. If it was stuck in a motion, it stays there, on standby."""
         self.jammed = False
         if self._is_stuck:
             self._is_stuck = False
             if self.position == protocol.OUT and self.world.is_shut(self.place("default")):
-                self.open("default")  # it never came in
+                self.open("default")  # it did not arrive inside
             self.after(0, self._stand_by, exact=True)
 
     # -- receiving ---------------------------------------------------------------------------
@@ -92,7 +92,7 @@ class TecanOnWire(OnWire):
         if command in queries:
             self._send(queries[command])
         elif self.busy:
-            if not command.startswith("BY#"):  # who waits is told when it stands by
+            if not command.startswith("BY#"):  # the message of standby is the answer to ``BY#``
                 self._waiting.append(command)
         elif self.refuses:
             self._send(protocol.REFUSED)
@@ -119,7 +119,7 @@ class TecanOnWire(OnWire):
         else:
             self._send(protocol.REFUSED)
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- motions -----------------------------------------------------------------------------
 
     def _begin(self, seconds: float) -> None:
         self.busy = True

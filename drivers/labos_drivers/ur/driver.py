@@ -1,5 +1,5 @@
-"""Drives a real UR arm: its controller's stored programs, by the dashboard; what became of them is read from
-its real-time data."""
+"""The driver of a UR arm. It runs programs that are stored in the controller, over the dashboard. Their
+progress and end are read from the controller's real-time data, if ``rtde`` is not false."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ PENDANT: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 
 
 class URDriver(Wired):
-    """The arm's motions are programs that were taught on the controller; the workcell file says which of them
-    carries what from where to where."""
+    """Commands of the arm. Its motions are programs that were taught on the controller. The workcell file
+    names the program for each action, with its source and target or its other arguments."""
 
     deadlines = ("answer", "load", "begin", "program", "power", "fingers")
     where = ("host", "192.168.0.40")
@@ -73,7 +73,7 @@ class URDriver(Wired):
 
     @off_loop
     def connect(self) -> None:
-        """Find the controller's ports; nothing moves. Raises NotConnected, WrongDevice."""
+        """Connect to dashboard and real-time data; nothing moves. Raises NotConnected, WrongDevice."""
         self.link.open()
         if self._stream is not None:
             self._stream.link.open()
@@ -88,7 +88,8 @@ class URDriver(Wired):
 
     @off_loop
     def transfer(self, source: str, target: str, program: str = "") -> None:
-        """Carry labware, by the program for this way; ``program`` names it if the workcell file does not."""
+        """Carry labware with the program for this source and target; ``program`` names it if the workcell
+        file does not. Raises DeviceError."""
         with self.motion():
             named = programs.find_carrying_program(self._setup, source, target, program)
             self._check_hand(full=False)
@@ -123,7 +124,7 @@ class URDriver(Wired):
 
     @off_loop
     def pendant(self, action: str, /, **args: str) -> None:
-        """Do an action of the pendant drop, by the program for it."""
+        """Carry out an action of the pendant drop with its program. Raises DeviceError."""
         with self.motion():
             program = programs.find_pendant_program(self._setup, action, args)
             before, after = PENDANT[action]
@@ -139,10 +140,10 @@ class URDriver(Wired):
 
     @off_loop
     def reset(self) -> None:
-        """Bring the arm out of a stop, power it and release its brakes; no program runs, and nothing else
-        moves."""
+        """End a stop, switch the arm's power on and release its brakes. A program in progress is stopped, and
+        none is started: nothing but the brakes moves. Raises DeviceError."""
         self.resume()
-        self.disconnect()  # all lines are opened anew: it may have been switched off meanwhile
+        self.disconnect()  # so that all links connect again: it may have been switched off
         self._read_hand()
         self._check_remote()
         safety = self._read_safety()
@@ -166,7 +167,7 @@ class URDriver(Wired):
 
     @during_motion
     def stop(self) -> None:
-        """Stop the program; the arm comes to rest where it is."""
+        """Stop the program; the arm stops where it is. Raises DeviceError."""
         self._halted.set()
         if self._read_state() != protocol.STOPPED:
             self._order("stop", "Stopped")
@@ -179,16 +180,16 @@ class URDriver(Wired):
 
     @during_motion
     def observe(self) -> dict[str, Any]:
-        """What the gripper reports of what it holds; nothing while its fingers move, or without one. What the
-        inputs report of pipette and tip, where they are wired to them."""
+        """Whether the gripper holds something; left out if its fingers move or no gripper reports it. Also
+        the states of dock, pipette and tip, if their sensors are wired to inputs. Raises DeviceError."""
         held = self._read_hand()
         return self._read_sensors() | ({} if held is None else {"labware": {"gripper": held}})
 
     # -- one program -------------------------------------------------------------------------
 
     def _run(self, program: str) -> bool | None:
-        """Raises DeviceError unless it has run to its end. Returns whether the gripper held something
-        meanwhile; None if it cannot tell."""
+        """Run a program, and wait for its end. Returns whether the gripper held something meanwhile; None if
+        not known. Raises DeviceError. A program that a person stops on the pendant counts as ended."""
         with ExitStack() as end:
             with self.report_no_effects():
                 self._refuse_unless_ready()
@@ -203,7 +204,8 @@ class URDriver(Wired):
         return held
 
     def _await_end(self, program: str, states: Iterator[str]) -> bool | None:
-        """Wait for the end of a program, and for the arm to stand still."""
+        """Wait for the end of a program, and with real-time data until the arm stands still. Returns whether
+        the gripper held something, as ``_run``. Raises DeviceError."""
         began, limit_s = time.monotonic(), self.limit_s("program", PROGRAM_S)
         played = False
         held = None
@@ -227,8 +229,8 @@ class URDriver(Wired):
 
     @contextmanager
     def _watch_program(self) -> Iterator[Iterator[str]]:
-        """The states of the program from now on: from the real-time data, where none is missed, else by
-        asking. A program that has stopped while the arm still moves counts as playing."""
+        """The states of the program from now on. They come from the real-time data, so that none is missed;
+        without these, the dashboard is asked. The state of a stopped program is empty while the arm moves."""
         if self._stream is None:
             yield self._poll_states()
             return
@@ -241,7 +243,8 @@ class URDriver(Wired):
             time.sleep(POLL_S)
 
     def _play(self, program: str) -> None:
-        """Start the program. Only a known refusal says that it does not run. Raises DeviceError."""
+        """Start the program. Raises DeviceError after a known refusal: it does not run. Raises Garbled after
+        another answer: it may run."""
         answer = self._ask("play")
         if answer.startswith("Starting program"):
             return
@@ -263,7 +266,7 @@ class URDriver(Wired):
             )
 
     def _refuse_unless_ready(self) -> None:
-        """Raises DeviceError if the controller is not ready for a program."""
+        """Raise DeviceError if the controller is not ready for a program."""
         self._check_remote()
         for what, ask, wanted in (
             ("safetystatus", self._read_safety, (protocol.NORMAL, protocol.REDUCED)),
@@ -277,7 +280,7 @@ class URDriver(Wired):
     def _check_remote(self) -> None:
         answer = self._ask("is in remote control")
         if _is_not_understood(answer):
-            return  # a CB3, which has no local mode, or software before 5.6: it refuses what it must not do
+            return  # a CB3 (no local mode) or software before 5.6; it refuses forbidden commands itself
         if answer != "true":
             raise self.make_refusal(
                 "the controller is not in remote control", "Switch it to remote control on the pendant."
@@ -291,7 +294,7 @@ class URDriver(Wired):
         return {name: on if now.input(number) else off for name, (number, on, off) in inputs}
 
     def _check_sensors(self, wanted: Mapping[str, Any], why: str) -> None:
-        """Raises DeviceError if an input has another value than needed."""
+        """Raise DeviceError if a wired input shows another value than the wanted one."""
         for variable, seen in self._read_sensors().items():
             if seen != wanted.get(variable, seen):
                 is_now, needed = _describe_value(seen), _describe_value(wanted[variable])
@@ -307,8 +310,8 @@ class URDriver(Wired):
                 raise DeviceError(f"{self.name}: its hand is {'empty' if full else 'full'}.")
 
     def _check_hand_after(self, *, held: bool, after: str) -> None:
-        """Check what the gripper holds after a motion; one that does not answer any more leaves the effects
-        open. Raises DeviceError."""
+        """Check what the gripper holds after a motion. If it does not answer, the effects are unknown. Raises
+        DeviceError."""
         with self.under_way():
             if self._read_hand_at_rest() is (not held):
                 raise DeviceError(
@@ -322,8 +325,8 @@ class URDriver(Wired):
         return self._gripper is not None or (self._gripper_input is not None and self._stream is not None)
 
     def _read_hand_at_rest(self) -> bool | None:
-        """Whether the gripper holds something when its fingers stand still; None if no gripper reports it.
-        Raises DeviceError if they do not come to rest: what they hold is not known then."""
+        """Wait until the gripper's fingers stand still. Returns whether it holds something; None if no
+        gripper reports it. Raises DeviceError if they still move after the limit: then it is not known."""
         limit_s = self.limit_s("fingers", FINGERS_S)
         deadline = time.monotonic() + limit_s
         while (held := self._read_hand()) is None and self._has_gripper_sensor:
@@ -384,7 +387,8 @@ class URDriver(Wired):
         return state
 
     def _order(self, command: str, *good: str, limit_s: float = 0.0) -> None:
-        """Raises DeviceError if it is refused: nothing has moved then."""
+        """Send a command; accepting answers begin with ``good``. Raises DeviceError if it is refused: nothing
+        has moved then."""
         answer = self._ask(command, limit_s)
         if not answer.startswith(good):
             raise DeviceError(
@@ -405,7 +409,7 @@ class URDriver(Wired):
         greeting = link.receive(self.limit_s("answer", ANSWER_S))
         if not greeting.startswith(protocol.GREETING):
             return f"what says {greeting[:40]!r}"
-        serial = self._ask("get serial number")  # controllers before 5.6 and 3.12 do not know it
+        serial = self._ask("get serial number")  # unknown before software 5.6 and 3.12 (CB3)
         self.see_unit("" if _is_not_understood(serial) else serial)
         version = self._ask("PolyscopeVersion")
         self.note_firmware("" if _is_not_understood(version) else version)
@@ -421,7 +425,7 @@ def _describe_value(value: Any) -> str:
 
 
 def _find_state(robot: rtde.Robot) -> str:
-    """The program state in the dashboard's words; empty while it changes."""
+    """The program state in the dashboard's words; empty while it changes, or while the arm still moves."""
     if robot.runtime_state == rtde.STOPPED:
         return protocol.STOPPED if robot.stands_still else ""
     return {rtde.PLAYING: protocol.PLAYING, rtde.PAUSED: protocol.PAUSED}.get(robot.runtime_state, "")

@@ -1,4 +1,4 @@
-"""What the UR arm offers."""
+"""The node of the UR arm: its stations and actions."""
 
 from __future__ import annotations
 

@@ -1,8 +1,9 @@
-"""The pendant drop experiment: an electronic pipette on a tool changer, a drop that hangs from its tip.
+"""The pendant drop experiment, with an electronic pipette on a tool changer: a drop hangs from its tip.
 
-The arm fetches the pipette from its dock, makes a sample of two liquids in a well and draws it up, puts the
-pipette back into the dock, where a drop is formed at its tip and measured, fetches it again, throws the
-tip away, and puts it back. Each of these is an action, and a program that was taught on the controller.
+The arm fetches the pipette from its dock. It mixes two liquids in a well, and draws this sample up. It puts
+the pipette back into the dock, where a drop is formed at its tip and measured. Then it fetches the pipette
+again, discards the tip and puts the pipette back. Each of these is an action, with a program that was taught
+on the controller.
 
 Sources: the paper's section on the pendant drop; AD-SDL/8IDI_workcell,
 droplet_workcell/workflows/demo.yaml and the driver beside it.

@@ -1,4 +1,4 @@
-"""Which of the programs that were taught on the controller does what, as the workcell file says."""
+"""Finds the program for an action in the workcell file, among those that were taught on the controller."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ PROGRAM = re.compile(r"[\w /.\-]{1,200}\.urp")
 
 
 def check_program(name: str, program: str) -> str:
-    """The name of a program. Raises DeviceError for text that is more than a name."""
+    """The name of a program. Raises DeviceError for other text, which could contain a second command."""
     if not PROGRAM.fullmatch(program):
         raise make_refusal(name, f"{program[:60]!r} is no name of a program", "It ends with .urp.")
     return program
 
 
 def read_input(setup: Setup, config: Mapping[str, Any], key: str, where: str) -> int:
-    """The digital input below a key. Raises DeviceError for a number that no controller has, as it would
-    always report that nothing is there."""
+    """The number of the digital input under a key. Raises DeviceError for a number that no controller has:
+    such an input would always be off."""
     number = config.get(key)
     if isinstance(number, int) and not isinstance(number, bool) and 0 <= number < INPUTS:
         return number
@@ -35,8 +35,8 @@ def read_input(setup: Setup, config: Mapping[str, Any], key: str, where: str) ->
 
 
 def find_carrying_program(setup: Setup, source: str, target: str, named: str = "") -> str:
-    """The program that carries labware this way. Raises DeviceError if the workcell file has none, or another
-    one than is named."""
+    """The program that carries labware from the source to the target. If the workcell file has none, it is
+    the one that is ``named``. Raises DeviceError if there is neither, or if the two differ."""
     way = place_of(setup, source), place_of(setup, target)
     for entry in setup.config.get("programs") or ():
         ends = entry.get("source", ""), entry.get("target", "")

@@ -1,7 +1,7 @@
-"""The dashboard of an e-Series controller, and the gripper's port beside it.
+"""The protocols of the dashboard of an e-Series controller, and of the gripper's port.
 
-Dashboard, port 29999: lines that end with a line feed; a greeting, then one answer to each command.
-Gripper (Robotiq's URCap), port 63352: ``GET OBJ`` is answered ``OBJ n``.
+Dashboard, port 29999: lines that end with a line feed. It sends a greeting, then one answer to each command.
+Gripper (Robotiq's URCap), port 63352: the answer to ``GET OBJ`` is ``OBJ n``.
 
 Sources: Universal Robots, *Dashboard Server Remote Control Interface e-Series* (2022);
 UniversalRobots/Universal_Robots_Client_Library, doc/architecture/dashboard_client.rst;

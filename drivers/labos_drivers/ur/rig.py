@@ -1,6 +1,6 @@
-"""The simulated pendant drop: a dock, a pipette, tips, as they really are.
+"""The simulated pendant drop: the real state of its dock, pipette and tips.
 
-What the arm did last says what it wears; a new device of the same arm finds it so.
+The state follows from the recorded motions of the arm, so a new device of the same arm begins with it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ TIPS = 2.0
 
 
 class Rig:
-    """``wears_pipette``: it is on the arm, not in its dock; ``has_tip``: it has a tip, with a sample in
-    it; ``is_docked``: the arm stays in the dock, where the tool changer is locked or unlocked."""
+    """``wears_pipette``: the pipette is on the arm, not in its dock. ``has_tip``: it has a tip with a sample.
+    ``is_docked``: the arm is in the dock, in which the tool changer is locked or unlocked."""
 
     def __init__(self, world: World, arm: str) -> None:
         self._world, self._arm = world, arm
@@ -26,7 +26,7 @@ class Rig:
                 self._note(motion.verb, motion.facts)
 
     def do(self, action: str, plate: str = "", **facts: Any) -> None:
-        """Do an action. Raises Crash if the rig is not in the state that it needs."""
+        """Carry out an action. Raises Crash if the state of dock, pipette or tip does not allow it."""
         if action in ("dock", "undock"):
             self._dock(action, str(facts.get("tool", "")))
             return
@@ -56,7 +56,7 @@ class Rig:
         self._note(action, facts)
 
     def read_sensors(self, wired: Mapping[str, Any]) -> dict[str, Any]:
-        """The values of the sensors that are wired to the arm."""
+        """The values of the sensors that are wired to the arm (``wired``), by variable."""
         on = self.list_inputs()
         return {
             name: yes if key in on else no
@@ -65,7 +65,7 @@ class Rig:
         }
 
     def list_inputs(self) -> set[str]:
-        """The sensors that are on, by the name of their input."""
+        """The names of the inputs whose sensors are on."""
         sensors = (
             ("dock_input", self.is_docked),
             ("pipette_input", self.wears_pipette),

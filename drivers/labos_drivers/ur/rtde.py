@@ -1,8 +1,8 @@
-"""Real-time data of a UR controller (RTDE), port 30004: its packages, and what the driver has it tell.
+"""Real-time data of a UR controller (RTDE), port 30004: its packages, and the data that the driver requests.
 
-A package is its size (two bytes, with the header's three), its type (a letter) and its content; all
-numbers are big-endian. The client asks for version 2, names the outputs that it wants (a recipe), is told
-their types, and starts and pauses the stream.
+A package has a size (two bytes; it includes the header of three bytes), a type (a letter) and a content. All
+numbers are big-endian. The client asks for version 2 and names the outputs that it wants (a recipe). The
+controller answers with their types. Then the client starts and pauses the stream.
 
 Sources: Universal Robots, *Real-Time Data Exchange (RTDE) Guide*; UniversalRobots/
 Universal_Robots_Client_Library, include/ur_client_library/rtde; the numbers of ``runtime_state`` from the
@@ -87,7 +87,7 @@ TYPES = ("VECTOR6D", "UINT32", "UINT64")
 
 
 class Packages:
-    """The framing: a message is a package's type and content."""
+    """The framing of packages: a message is the type and the content of a package, without the size."""
 
     def pack(self, message: bytes) -> bytes:
         return struct.pack(">H", len(message) + HEADER - 1) + message
@@ -108,12 +108,12 @@ class Packages:
 
 
 def request_outputs(names: Iterable[str], frequency_hz: float) -> bytes:
-    """The package that requests outputs, so many times a second."""
+    """The message that requests outputs, ``frequency_hz`` times per second."""
     return OUTPUTS + struct.pack(">d", frequency_hz) + ",".join(names).encode("ascii")
 
 
 def parse_outputs(content: bytes) -> tuple[float, list[str]]:
-    """Frequency and names in the content of such a package. Raises ValueError."""
+    """Frequency (Hz) and names in the content of a message that requests outputs. Raises ValueError."""
     if len(content) < 8:
         raise ValueError("no frequency")
     names = content[8:].decode("ascii").split(",")
@@ -121,7 +121,7 @@ def parse_outputs(content: bytes) -> tuple[float, list[str]]:
 
 
 def pack_values(recipe: int, types: Sequence[str], values: Iterable[Any]) -> bytes:
-    """A data package."""
+    """The message of a data package, with the values of the outputs in a recipe."""
     flat: list[Any] = []
     for value in values:
         flat += value if isinstance(value, Sequence) else (value,)
@@ -129,7 +129,7 @@ def pack_values(recipe: int, types: Sequence[str], values: Iterable[Any]) -> byt
 
 
 def unpack_robot(recipe: int, content: bytes) -> Robot:
-    """The content of a data package. Raises ValueError."""
+    """The state in the content of a data package. Raises ValueError if its size or recipe is another one."""
     layout = f">B{_format(TYPES)}"
     if len(content) != struct.calcsize(layout):
         raise ValueError(f"a data package of {len(content)} bytes")
@@ -140,7 +140,7 @@ def unpack_robot(recipe: int, content: bytes) -> Robot:
 
 
 def types_of(known: Mapping[str, str], names: Iterable[str]) -> list[str]:
-    """The types of the requested outputs, from a controller that has these."""
+    """The types of the requested outputs, from a controller with the ``known`` ones; NOT_FOUND for others."""
     return [known.get(name, NOT_FOUND) for name in names]
 
 

@@ -1,4 +1,4 @@
-"""The real-time port of a simulated UR controller: the handshake, a recipe of outputs, a stream of them."""
+"""The real-time port of a simulated UR controller: the handshake, the recipe, and the stream of outputs."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ SOFTWARE = (5, 12, 2, 1101534)
 
 
 class RtdePort:
-    """One client at a time. ``read_outputs`` gives the present value of each output; ``types`` has their
-    types."""
+    """The port, for one client at a time. ``read_outputs`` returns the present value of each output, and
+    ``types`` has the type of each."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class RtdePort:
         self.end.close()
 
     def listen(self, timeout_s: float) -> None:
-        """Wait for a package, answer it, and send the data that are due."""
+        """Wait for packages and answer them; then send a data package if one is due."""
         data = self.end.read(timeout_s)
         if self.end.clients != self._client:
             self._client = self.end.clients

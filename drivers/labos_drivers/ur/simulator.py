@@ -1,4 +1,4 @@
-"""A simulated UR arm."""
+"""A simulated UR arm, without a wire."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ PENDANT_S = 50.0
 
 
 class URSimulator(Arm):
-    """With a gripper, and a dock from which it can fetch a pipette. With the configuration ``falls`` (0 to 1)
-    some drops fall off the tip."""
+    """An arm with a gripper, and with a dock from which it can fetch a pipette. ``falls`` in its
+    configuration is the probability that a drop falls off the tip (0 to 1)."""
 
     transfer_s = 45.0
 
@@ -27,7 +27,7 @@ class URSimulator(Arm):
             self.world.work(self.name, "program", program=program)
 
     async def pendant(self, action: str, plate: str = "", **facts: Any) -> None:
-        """An action of the pendant drop experiment."""
+        """Carry out an action of the pendant drop experiment."""
         if action == "run_droplet" and self._random.random() < float(self.config.get("falls", 0.0)):
             facts["fell"] = True
         with self.motion():

@@ -1,4 +1,4 @@
-"""What a UR controller tells of itself in real time, while somebody listens."""
+"""The stream of states that a UR controller sends in real time, while the driver needs it."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ WHO = "a UR controller that tells its state"
 
 
 class Stream:
-    """The stream of states. It is started for as long as somebody watches and paused otherwise, so that no
-    data pile up unread. While one watches, others get the last state."""
+    """The stream of states. It runs during ``watch`` and ``read_state`` and is otherwise paused, so that no
+    unread data accumulate. During ``watch``, ``read_state`` returns the last state."""
 
     def __init__(self, host: str, port: int, name: str) -> None:
         self._name = name
@@ -44,7 +44,7 @@ class Stream:
 
     @contextmanager
     def watch(self) -> Iterator[Iterator[Robot]]:
-        """Start the stream, and yield its states without an end. Raises LinkError; nothing moves by this."""
+        """Start the stream, and yield an endless iterator of its states. Nothing moves. Raises LinkError."""
         with self._turn:
             self._last = None
             self._order(rtde.START)

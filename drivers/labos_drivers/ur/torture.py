@@ -1,4 +1,4 @@
-"""What the torture suite has to know of the UR arm."""
+"""The declaration of the UR arm for the torture suite."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SAMPLE = {"plate": "bench.wells", "well": "A1", "liquid_1": "water", "liquid_2":
 
 
 def _make_cold(setup: Setup) -> UROnWire:
-    """Without power at its joints, as it is after its switch was turned."""
+    """A controller that was just switched on: its joints have no power."""
     return UROnWire(setup, started=False)
 
 

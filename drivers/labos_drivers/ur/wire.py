@@ -1,7 +1,7 @@
-"""A simulated UR controller: its dashboard, the port of its gripper, and that of its real-time data.
+"""A simulated UR controller: its dashboard, the port of its gripper, and the port of its real-time data.
 
-Its programs are those under ``programs`` of its configuration, of which those with a source and a target
-carry what is there, and those of the pendant drop under ``pendant``.
+Its programs are those under ``programs`` and ``pendant`` of its configuration. A program with a source and a
+target carries the labware that is at the source. Those under ``pendant`` do the actions of the pendant drop.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ RUNTIME = {protocol.STOPPED: rtde.STOPPED, protocol.PLAYING: rtde.PLAYING, proto
 
 
 class UROnWire(OnLine):
-    """What the device is and does. ``started``: powered, with its brakes released before;
-    ``stopped_by_hand``: somebody stops its next program on the pendant; ``fingers_move``: its gripper says
-    that they do."""
+    """The state and the behaviour of the device. ``started``: it has power, and its brakes are released.
+    ``stopped_by_hand``: a person stops each program on the pendant. ``fingers_move``: its gripper reports
+    that its fingers move."""
 
     serial = "20205300001"
 
@@ -133,7 +133,7 @@ class UROnWire(OnLine):
             return orders[line]() if line in orders else self._load(line.removeprefix("load ").strip())
         return f"could not understand: {line}"
 
-    # -- doing -------------------------------------------------------------------------------
+    # -- carrying commands out ---------------------------------------------------------------
 
     def _power_on(self) -> str:
         self.after(POWER_S, lambda: self._become(protocol.IDLE, before=protocol.OFF))
@@ -145,7 +145,7 @@ class UROnWire(OnLine):
         return "Powering off"
 
     def _release_brakes(self) -> str:
-        """It switches the power on as well, if need be."""
+        """Release the brakes; if the power is off, this also switches it on."""
         first_s = POWER_S if self.mode == protocol.OFF else 0.0
         self.after(first_s + BRAKES_S, lambda: self._become(protocol.RUNNING))
         return "Brake releasing"
@@ -233,7 +233,7 @@ class UROnWire(OnLine):
         return "Protective stop releasing"
 
     def _outputs(self) -> dict[str, Any]:
-        """What it tells in real time. While a program plays, the base swings to and fro."""
+        """The present values of the real-time data. While a program plays, the base turns back and forth."""
         moves = self.state == protocol.PLAYING
         if moves:
             self._stopped_s = self.now_s()
@@ -250,11 +250,11 @@ class UROnWire(OnLine):
         }
 
     def _sensors(self) -> set[int]:
-        """The inputs that pipette and tip switch on."""
+        """The digital inputs that the sensors of dock, pipette and tip switch on."""
         return {int(self._pendant[key]) for key in self.rig.list_inputs() if key in self._pendant}
 
     def press_stop(self) -> None:
-        """Somebody hits the emergency stop."""
+        """A person presses the emergency stop."""
         self._freeze(protocol.STOPPED)
         self.safety, self.mode = "ROBOT_EMERGENCY_STOP", protocol.OFF
 
