@@ -33,7 +33,7 @@ BLANK_OD = 0.04
 
 
 def color_of(contents: Contents) -> Color:
-    """The color of a well as red, green and blue (0 to 255)."""
+    """The colour of a well as red, green and blue (0 to 255)."""
     red, green, blue = (255 * 10**-density for density in _density(contents))
     return red, green, blue
 
