@@ -173,11 +173,11 @@ def test_a_module_is_taken_out_and_comes_back_by_itself(client: LabClient) -> No
     def hidex() -> dict[str, Any]:
         return next(m for m in client.state(waits=False)["modules"] if m["name"] == "rpl/hidex")
 
-    until_ns = time.time_ns() + 300_000_000
-    client.take_out("hidex", "the lamp is changed", "ada", until_ns)
-    assert (hidex()["out_of_service"], hidex()["problem"]) == (True, "the lamp is changed")
+    client.take_out("rpl/hidex", "smoke", "ada", time.time_ns() + 300_000_000)
     until(lambda: not hidex()["out_of_service"], "it is back")
-    client.take_out("rpl/hidex", "smoke", "ada")
+    client.take_out("hidex", "the lamp is changed", "ada", time.time_ns() + 3_600_000_000_000)
+    seen = hidex()
+    assert (seen["out_of_service"], seen["problem"]) == (True, "the lamp is changed")
     client.put_back("hidex", "bo")
     told = [(e["type"], e["actor"]) for e in client.events(after, stream="rpl/hidex")]
     assert told == [
