@@ -10,7 +10,8 @@ from types import ModuleType
 def import_without(name: str, *optional: str) -> ModuleType:
     """Import a module as if the ``optional`` packages were not installed, which saves their time and memory.
 
-    What is loaded already is left as it is, and the packages can be imported afterwards.
+    What is loaded already is left as it is, and the packages can be imported afterwards. Meanwhile they are
+    missing in all threads, so call this before other threads import them.
     """
     hidden = [package for package in optional if package not in sys.modules]
     for package in hidden:

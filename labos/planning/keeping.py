@@ -316,7 +316,7 @@ class Windows:
         return list(self._search(alone, limit=ALONE_LIMIT)[1].late)
 
     def remember(self, other: Windows) -> None:
-        """Take over what another one remembers besides the state."""
+        """Copy what another one has found earlier and cannot compute again from the state."""
         self._advice, self._surely_late = dict(other._advice), set(other._surely_late)
         self._at_rest, self._put_off = dict(other._at_rest), dict(other._put_off)
         self._needed_modules = dict(other._needed_modules)

@@ -89,7 +89,7 @@ class WaitingRoom:
             self._enter(state, group)
 
     def refill(self, state: LabState, cell: str) -> None:
-        """Enter all runs that wait in a workcell again, because its bench has changed."""
+        """Enter all runs that wait in a workcell again, because its bench or its bookings have changed."""
         self._interests.clear()
         self._see(state, cell)
         for bundle in self.list_in_cell(cell):

@@ -85,10 +85,11 @@ def well_names(first: int, count: int) -> list[str]:
 
 def pick_color(
     lab: LabClient, user: str, *, rounds: int = 3, wells: int = 4, close: float = 3.0, seed: int = 0
-) -> float:
-    """Run the experiment; returns how near it came. Stops early once nearer than ``close``."""
+) -> float | None:
+    """Run the experiment; returns how near it came, None if there was no picture. Stops early once nearer
+    than ``close``."""
     solver = Solver(wells, seed)
-    nearest = float("inf")
+    nearest: float | None = None
     with Experiment(lab, "color picker", user, closing="cp_trashplate") as experiment:
         experiment.run("cp_newplate")
         experiment.note("loop_started", "mix and learn", rounds=rounds, target=TARGET)
@@ -105,14 +106,14 @@ def pick_color(
                 },
             )
             picture = result.result("Take picture")
-            if picture is None:  # the camera was cut off, and a person has confirmed that it took the picture
+            if picture is None:  # its outcome was unknown, and a person has answered that it was taken
                 experiment.note("decision", "no picture: the same mixtures again")
                 continue
             shown = lab.image(picture)
             colors = [color_of(shown, name) for name in names]
             experiment.note("local_compute", "colors of the wells", picture=picture, colors=colors)
             scores = [distance(color) for color in colors]
-            nearest = min(nearest, *scores)
+            nearest = min(scores if nearest is None else [nearest, *scores])
             enough = nearest < close
             experiment.note("condition_checked", "near enough", nearest=nearest, limit=close, met=enough)
             if enough:
@@ -141,6 +142,9 @@ def main() -> int:
         return 1
     except KeyboardInterrupt:
         return 130
+    if nearest is None:
+        print("color picker: there was no picture of a plate.", file=sys.stderr)  # noqa: T201
+        return 1
     print(f"color picker: nearest {nearest:g} of 255 from the wanted colour.")  # noqa: T201
     return 0
 
