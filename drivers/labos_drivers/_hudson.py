@@ -82,8 +82,7 @@ class Dialect(Protocol):
 
 
 class Sizes(msgspec.Struct, frozen=True):
-    """Sizes of the plates in mm, and of the arm in its own units. The module's config can change them; the
-    defaults are provisional."""
+    """Sizes of the plates in mm, and of the arm in its own units. The module's config can change them."""
 
     plate_mm: float
     grip_mm: float
