@@ -236,7 +236,7 @@ def live_through(seed: int, runs: int) -> Day:
     [
         pytest.param((*range(6), 69, 192, 488), id="few"),
         pytest.param(range(6, 60), marks=pytest.mark.slow, id="many"),
-        pytest.param(range(60, 1000), marks=pytest.mark.full, id="all"),
+        pytest.param(range(60, 1000), marks=[pytest.mark.full, pytest.mark.timeout(900)], id="all"),
     ],
 )
 def test_nothing_runs_into_a_booking_and_everything_ends(seeds: Sequence[int]) -> None:
