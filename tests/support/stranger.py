@@ -118,8 +118,10 @@ class _Session:
         self._session.close()
 
     def _settle(self) -> None:
-        """Until the bus has seen what was done before."""
+        """Until the bus has seen what was declared and what was said before. Zenoh sends declarations before
+        messages, so a round trip of one kind proves nothing of the other."""
         list(self._session.liveliness().get("labos/@round-trip", timeout=1.0))
+        list(self._session.get("labos/@round-trip", timeout=1.0))
 
 
 def _main() -> None:

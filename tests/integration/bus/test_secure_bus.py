@@ -137,7 +137,10 @@ class Site:
 
 
 async def settle(bus: ZenohBus) -> None:
+    """Until the router has seen what this session declared and published before: Zenoh sends declarations
+    before messages, so it takes a round trip of each kind."""
     await bus._round_trip()
+    await asyncio.to_thread(lambda: list(bus._session.get("labos/@round-trip", timeout=1.0)))
 
 
 @pytest.fixture(scope="module", params=[True, False], ids=["secure", "open"])
