@@ -25,7 +25,7 @@ from labos.node.protocol import ANY_KERNEL, Keys
 from labos.pki import PROCESS_NAME, CertificateEntry, PartyIdentity
 
 ROUND_TRIP = "labos/@round-trip"
-"""A key that nobody shows: a query for it returns after everything before it has arrived."""
+"""A key that an open router shows. A query for it returns after all declarations before it have arrived."""
 
 MEMBERS = "labos/@members"
 """The key on which lists of members are sent. Every holder of a certificate of the authority may send there,
@@ -81,6 +81,7 @@ def _list_rules(who: PartyIdentity) -> Iterator[Rule]:
         return
     keys = Keys(who.lab)
     yield (IN,), ("liveliness_query",), (ROUND_TRIP,)
+    yield (OUT,), ("liveliness_token",), (ROUND_TRIP,)
     match who.kind:
         case "node":
             yield from _list_node_rules(keys, who.name)

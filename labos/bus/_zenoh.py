@@ -19,6 +19,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from labos.bus._access import ROUND_TRIP
+from labos.bus._connection import CHECK_S, keep_connected
 from labos.bus._declared import Declared, Guarded, KeyWatch, Waiting
 from labos.bus._opening import Mode, Opening, reason_of
 from labos.bus._security import Security
@@ -54,7 +55,12 @@ async def open_bus(
     returns. Raises BadInput for an address of the wrong kind.
     """
     opening = Opening(mode, tuple(listen), tuple(connect))
-    return ZenohBus(await opening.open(security), asyncio.get_running_loop(), opening)
+    bus = ZenohBus(await opening.open(security), asyncio.get_running_loop(), opening, security)
+    if mode == "router":
+        await bus.declare_alive(ROUND_TRIP)
+    elif mode == "client":
+        bus.keep_connected()
+    return bus
 
 
 class Traffic:
@@ -67,12 +73,19 @@ class Traffic:
 class ZenohBus:
     """A session on the bus; belongs to the event loop that opened it. Made by ``open_bus``."""
 
-    def __init__(self, session: Any, loop: asyncio.AbstractEventLoop, opening: Opening) -> None:
+    def __init__(
+        self, session: Any, loop: asyncio.AbstractEventLoop, opening: Opening, security: Security | None
+    ) -> None:
         self._session = session
         self._loop = loop
         self._opening = opening
+        self._security = security
+        # Both since the present session was opened.
+        self._has_received = self._has_seen_router = False
+        self._keeping: asyncio.Task[None] | None = None
         self._ready = asyncio.Event()
         self._ready.set()
+        self._opening_anew = asyncio.Lock()
         self._reopening: asyncio.Task[None] | None = None
         self.traffic = Traffic()
         self._handles: dict[Declared, None] = {}  # in the order in which they were declared
@@ -92,7 +105,7 @@ class ZenohBus:
         def on_reply(reply: Any) -> None:
             if not replies:  # the first answer counts; a faulty process may send thousands
                 replies.append(reply)
-                self._hand_over(settled.set)
+                self._receive(settled.set)
 
         def on_end() -> None:
             if not replies:
@@ -143,7 +156,7 @@ class ZenohBus:
 
         def on_query(query: Any) -> None:
             if waiting.take_place():
-                self._hand_over(start, query)
+                self._receive(start, query)
             else:  # it is finalised here: the caller is informed at once
                 self.traffic.dropped += 1
 
@@ -174,7 +187,7 @@ class ZenohBus:
 
         def on_sample(sample: Any) -> None:
             if len(sample.payload) <= LARGEST_MESSAGE and waiting.take_place():
-                self._hand_over(take, str(sample.key_expr), sample.payload.to_bytes())
+                self._receive(take, str(sample.key_expr), sample.payload.to_bytes())
             else:
                 self.traffic.dropped += 1
 
@@ -195,7 +208,7 @@ class ZenohBus:
         watch = KeyWatch(deliver)
 
         def on_token(sample: Any) -> None:
-            self._hand_over(watch.note, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            self._receive(watch.note, str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         handle = await self._declare(
             keys,
@@ -207,11 +220,22 @@ class ZenohBus:
         self._watches[handle] = watch
         return handle
 
+    def keep_connected(self, check_s: float = CHECK_S) -> None:
+        """Connect again if the router of the connection was closed without Zenoh's notice; see
+        ``_connection``."""
+
+        async def reopen() -> None:
+            if self._ready.is_set():
+                await self.reopen(self._security)
+
+        self._keeping = self._loop.create_task(keep_connected(self._is_router_open, reopen, check_s))
+
     async def reopen(self, security: Security | None) -> None:
         """Open the session again, with other certificates or rules, which cannot be changed in an open
         session. All declarations are repeated. Parties that lived before are reported as gone only if they do
         not come back. It is tried until it succeeds, because there is no other session."""
         self._check_open()
+        self._security = security
         self._reopening = self._loop.create_task(self._reopen(security))
         await asyncio.shield(self._reopening)  # otherwise a half-open session would be left
 
@@ -227,6 +251,8 @@ class ZenohBus:
         if self._closed:
             return
         self._closed = True
+        if self._keeping is not None:
+            self._keeping.cancel()
         self._ready.set()  # waiting callers are informed that it is closed
         if self._reopening is not None:
             await asyncio.wait({self._reopening})
@@ -271,13 +297,40 @@ class ZenohBus:
         await self._round_trip()
         return handle
 
-    async def _round_trip(self) -> None:
-        """Wait until the router has received this session's earlier declarations: it answers in order."""
+    async def _round_trip(self) -> bool | None:
+        """Wait until the router has received this session's earlier declarations: it answers in order.
+        Returns whether the router showed its key; None if it did not answer in time."""
         done = asyncio.Event()
-        answered: Any = Callback(lambda _: None, lambda: self._hand_over(done.set), indirect=False)
+        replies: list[bool] = []
+        answered: Any = Callback(
+            lambda reply: replies.append(reply.ok is not None),
+            lambda: self._hand_over(done.set),
+            indirect=False,
+        )
         self._session.liveliness().get(ROUND_TRIP, answered, timeout=1.0)
         with suppress(TimeoutError):
             await asyncio.wait_for(done.wait(), 1.5)
+            self._has_seen_router = self._has_seen_router or any(replies)
+            return None if replies and not any(replies) else bool(replies)
+        return None
+
+    async def _is_router_open(self) -> bool | None:
+        """Whether the router of the connection shows its key. None if this is not known: there is no
+        connection, or no answer, or the router is of another kind, which never shows one."""
+        await self._wait_until_ready()
+        try:
+            found = await self._round_trip()
+            is_connected = bool(self._session.info.routers_zid())
+        except zenoh.ZError:  # the session is being closed
+            return None
+        if not found and (not is_connected or (self._has_received and not self._has_seen_router)):
+            return None
+        return found
+
+    def _receive(self, function: Callable[..., object], *args: Any) -> None:
+        """Hand a message from the bus over to the event loop."""
+        self._has_received = True
+        self._hand_over(function, *args)
 
     def _hand_over(self, function: Callable[..., object], *args: Any) -> None:
         with suppress(RuntimeError):  # the loop has been closed; there is no task to inform
@@ -288,9 +341,14 @@ class ZenohBus:
             raise BusError("The bus has been closed.")
 
     async def _reopen(self, security: Security | None) -> None:
+        async with self._opening_anew:
+            await self._open_anew(security)
+
+    async def _open_anew(self, security: Security | None) -> None:
         self._ready.clear()
         handles = [handle for handle in self._handles if not handle.closed]
         await asyncio.to_thread(self._end_session, handles)
+        self._has_received = self._has_seen_router = False
         pause, logged = REOPEN_S, ""
         while not self._closed:
             try:

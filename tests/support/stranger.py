@@ -102,6 +102,10 @@ class _Session:
         replies = self._session.get(key, payload=payload.encode(), timeout=2.0)
         return [reply.ok.payload.to_string() if reply.ok else "error" for reply in replies]
 
+    def sees(self, key: str) -> bool:
+        """Whether somebody shows a living key."""
+        return any(reply.ok for reply in self._session.liveliness().get(key, timeout=2.0))
+
     def list_heard(self) -> list[str]:
         self._settle()
         return self._received

@@ -181,6 +181,12 @@ def test_what_everybody_may_do_for_himself(site: Site) -> None:
     assert site.run(site.kernel.query(KEYS.operation(PEELER, "state"), b"", 2.0)) == ANSWER
 
 
+@pytest.mark.parametrize("who", STRANGERS)
+def test_who_is_admitted_sees_that_the_bus_is_open(site: Site, who: str) -> None:
+    """Otherwise it would connect again and again."""
+    assert site.does("sees", who, "labos/@round-trip") is (who != "nobody" or not site.secure)
+
+
 @pytest.mark.parametrize("key", ["cell/away/action", "cell/**", "**"])
 @pytest.mark.parametrize("who", ["peeler", "kernel", "viewer", "nobody"])
 def test_nobody_answers_for_another_module(site: Site, who: str, key: str) -> None:
