@@ -22,7 +22,7 @@ from labos.planning.urgency import is_urgent
 from labos.planning.work_behind import WorkBehind
 
 
-class Spot(msgspec.Struct, frozen=True):
+class PossibleStart(msgspec.Struct, frozen=True):
     """Something that may start: a step of a started run, or a bundle of waiting runs, with its first run."""
 
     run: RunState
@@ -31,7 +31,7 @@ class Spot(msgspec.Struct, frozen=True):
 
 
 class Rank(msgspec.Struct, frozen=True, order=True):
-    """The spot with the lowest rank goes first. A field decides only if all fields before it are equal."""
+    """The start with the lowest rank goes first. A field decides only if all fields before it are equal."""
 
     deadline: int
     is_patient: bool
@@ -63,25 +63,27 @@ class Ranking:
         self._due_dates.forget()
         self._setup_order.forget()
 
-    def sort(self, state: LabState, spots: list[Spot], patience: OvertakeCounts, now: int) -> list[Spot]:
+    def sort(
+        self, state: LabState, starts: list[PossibleStart], patience: OvertakeCounts, now: int
+    ) -> list[PossibleStart]:
         """What may start, in the order in which it is tried."""
-        if len(spots) < 2:
-            return spots
-        turns = self._swap_turns(state, [spot for spot in spots if not spot.bundle])
-        return sorted(spots, key=lambda spot: self._rank(state, spot, patience, now, turns))
+        if len(starts) < 2:
+            return starts
+        turns = self._swap_turns(state, [start for start in starts if not start.bundle])
+        return sorted(starts, key=lambda start: self._rank(state, start, patience, now, turns))
 
-    def _swap_turns(self, state: LabState, spots: Sequence[Spot]) -> dict[RunId, int]:
+    def _swap_turns(self, state: LabState, starts: Sequence[PossibleStart]) -> dict[RunId, int]:
         """The positions that equal runs inside take instead of their own. It makes no difference which of
         several equally old runs of one plan ends first. So the one with the most work left takes the position
         of the oldest."""
-        runs = {spot.run.id: spot.run for spot in spots}
+        runs = {start.run.id: start.run for start in starts}
         turns: dict[RunId, int] = {}
         if len(runs) < 2:
             return turns
         behind: dict[RunId, float] = {}
-        for spot in spots:
-            left = self.behind.measure(state, spot.run.plan, spot.step)
-            behind[spot.run.id] = max(left, behind.get(spot.run.id, 0.0))
+        for start in starts:
+            left = self.behind.measure(state, start.run.plan, start.step)
+            behind[start.run.id] = max(left, behind.get(start.run.id, 0.0))
         for group in group_equally_old(state, runs.values()):
             alike: dict[str, list[RunState]] = {}
             for run in group:
@@ -115,13 +117,13 @@ class Ranking:
     def _rank(
         self,
         state: LabState,
-        spot: Spot,
+        start: PossibleStart,
         patience: OvertakeCounts,
         now: int,
         turns: Mapping[RunId, int],
     ) -> Rank:
-        run, waits = spot.run, bool(spot.bundle)
-        step = None if waits else spot.step
+        run, waits = start.run, bool(start.bundle)
+        step = None if waits else start.step
         deadline = self._reservations.find_latest_start(state, run, step, now)
         behind = 0.0 if step is None else -self.behind.measure(state, run.plan, step)
         if not waits and patience.is_over(run.id):

@@ -134,9 +134,9 @@ class Scene:
                 holder = self.find_holder(player, hold.module)
                 if holder is not None:
                     return holder
-        turn = Turn(self, player, step)
+        step_scene = StepScene(self, player, step)
         for effect in step.effects:
-            found = check_effect(turn, effect)
+            found = check_effect(step_scene, effect)
             if found is not None:
                 return found
         return None
@@ -300,7 +300,7 @@ class Scene:
                 self.values[key] = value, NOBODY
 
 
-class Turn:
+class StepScene:
     """The scene as a store for the checks of one step (see ``core.algebra``). Each check returns the run or
     step in the way; ``NOBODY`` if no run could make way."""
 

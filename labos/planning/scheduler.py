@@ -47,7 +47,7 @@ from labos.planning.forecast import list_ready_steps
 from labos.planning.own_order import BEFORE_START, OwnOrder, OwnOrders
 from labos.planning.patience import OvertakeCounts
 from labos.planning.pilot import Candidate
-from labos.planning.ranking import Ranking, Spot
+from labos.planning.ranking import PossibleStart, Ranking
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
@@ -124,26 +124,26 @@ class Scheduler:
         """The starts that are legal and safe after the last ``note_changes``, one by one. The caller carries
         each start out before it asks for the next one."""
         self.ranking.forget()
-        for spot in put_last(state, self.ranking.sort(state, self._wake(state, now), self.patience, now)):
-            if spot.bundle:
-                yield from self._let_in(state, spot.bundle, spot.run, now)
+        for start in put_last(state, self.ranking.sort(state, self._wake(state, now), self.patience, now)):
+            if start.bundle:
+                yield from self._admit_runs(state, start.bundle, start.run, now)
             else:
-                yield from self._start_step(state, spot, now)
+                yield from self._start_step(state, start, now)
 
-    def _start_step(self, state: LabState, spot: Spot, now: int) -> Iterator[StepStart]:
+    def _start_step(self, state: LabState, start: PossibleStart, now: int) -> Iterator[StepStart]:
         """Propose a step of an active run. If the step has to wait, it sleeps instead."""
-        run = spot.run
+        run = start.run
         # It wakes only now: starts of other runs before this check count as overtaking it.
-        self.sleepers.wake((run.id, spot.step))
-        wait = self.check_start(state, state.runs.active.get(run.id), spot.step, now)
+        self.sleepers.wake((run.id, start.step))
+        wait = self.check_start(state, state.runs.active.get(run.id), start.step, now)
         if wait is not None:
-            self.sleepers.sleep((run.id, spot.step), wait)
+            self.sleepers.sleep((run.id, start.step), wait)
             return
-        others = find_companions(state, run, spot.step, now)
-        for each, step in ((run, spot.step), *others):
+        others = find_companions(state, run, start.step, now)
+        for each, step in ((run, start.step), *others):
             self.sleepers.wake((each.id, step))
             self.patience.count_start(state, each, step, self.sleepers)
-        yield StepStart(run.id, spot.step, others=tuple((each.id, step) for each, step in others))
+        yield StepStart(run.id, start.step, others=tuple((each.id, step) for each, step in others))
 
     def check_start(
         self,
@@ -281,7 +281,7 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _wake(self, state: LabState, now: int) -> list[Spot]:
+    def _wake(self, state: LabState, now: int) -> list[PossibleStart]:
         touched, self._touched = self._touched, Touched()
         named = touched.named
         if self._fresh:
@@ -322,7 +322,9 @@ class Scheduler:
                 names |= self.sleepers.find_waiting(cell_key(cell))  # other steps may go first now
         for cell in self._order_windows(state, names, now):
             names |= self._list_all(state, cell)
-        return [spot for spot in (self._look_again(state, name, now) for name in names) if spot is not None]
+        return [
+            start for start in (self._look_again(state, name, now) for name in names) if start is not None
+        ]
 
     def _list_cells(self, state: LabState, names: Iterable[Name]) -> list[str]:
         """The workcells of these steps and bundles."""
@@ -381,13 +383,13 @@ class Scheduler:
             return touched
         return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
-    def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> Spot | None:
+    def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> PossibleStart | None:
         """What to check for a name: the step of an active run, or the first run of a bundle. None if the
         bundle is gone, or if it has to wait by the rules. A bundle that has to wait sleeps again at once."""
         who, step = name
         active = state.runs.active.get(RunId(who))
         if active is not None:
-            return Spot(active, step)
+            return PossibleStart(active, step)
         self.sleepers.wake(name)
         if who not in self.room:
             return None
@@ -398,7 +400,7 @@ class Scheduler:
         for wait in waits:
             self.sleepers.sleep(name, wait)
         first = self.admission.find_first(state, who, now) if not waits else None
-        return Spot(first, 0, who) if first is not None else None
+        return PossibleStart(first, 0, who) if first is not None else None
 
     def _find_waits_at_start(self, state: LabState, bundle: str, run: RunState, now: int) -> list[Wait]:
         """The wait by the rules of each first step of a run of a bundle; empty if one of them is possible.
@@ -437,7 +439,7 @@ class Scheduler:
 
     # -- admission ---------------------------------------------------------------------------
 
-    def _let_in(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
+    def _admit_runs(self, state: LabState, bundle: str, first: RunState, now: int) -> Iterator[StepStart]:
         run: RunState | None = first
         if first.id not in state.runs.queued:  # the look ahead for another bundle has started it
             run = self.admission.find_first(state, bundle, now)
@@ -448,7 +450,7 @@ class Scheduler:
                     self.sleepers.sleep((bundle, 0), wait)
                 return
             option = chosen.run
-            self.room.let_in(state, option, urgent=is_urgent(state, option, now))
+            self.room.count_admission(state, option, urgent=is_urgent(state, option, now))
             self.patience.count_start(state, option, chosen.step, self.sleepers)
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
@@ -462,9 +464,9 @@ class Scheduler:
         runs."""
         run = state.runs.active.get(name)
         if run is not None:
-            spots = [Spot(run, step) for step in list_ready_steps(state, run)]
-            for spot in self.ranking.sort(state, spots, self.patience, now):
-                yield from self._start_step(state, spot, now)
+            starts = [PossibleStart(run, step) for step in list_ready_steps(state, run)]
+            for start in self.ranking.sort(state, starts, self.patience, now):
+                yield from self._start_step(state, start, now)
 
     def _is_overtaken(self, state: LabState, run: RunState) -> bool:
         """Whether a run was overtaken so often that it waits for no order any more."""

@@ -204,7 +204,7 @@ class WaitingRoom:
 
     # -- runs that were overtaken ------------------------------------------------------------
 
-    def let_in(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
+    def count_admission(self, state: LabState, run: RunState, *, urgent: bool = False) -> None:
         """Count the admission of a run for the oldest run of every bundle of the workcell. It counts if that
         run is older and needs one of the same modules. It counts as ``1 / PRIORITY_WEIGHT`` if the admitted
         run has a higher priority or is ``urgent``."""
