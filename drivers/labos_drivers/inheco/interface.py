@@ -71,7 +71,7 @@ class Inheco(OnBenchOrWire):
 
     @action(duration_s=1, safe_to_repeat=True, exclusive=False)
     async def get_status(self) -> dict[str, Any]:
-        """Door, plate (null: nobody knows), shaker, heater, temperatures in °C, error flags."""
+        """Door, plate (null: unknown), shaker, heater, temperatures in °C, error flags."""
         return await await_answer(self.device.read_status())
 
     @action(
@@ -88,7 +88,7 @@ class Inheco(OnBenchOrWire):
 
     @action(Sets("module", "shaking", False), duration_s=3, safe_to_repeat=True, aliases=("stop_shaker",))
     async def end_shake(self) -> None:
-        """Stop shaking; the plate has come to rest then."""
+        """Stop shaking, and wait until the plate no longer moves."""
         await self.device.end_shake()
 
     @action(Sets("module", "door", "closed"), Sets("module", "shaking", False), duration_s=10, recovers=True)

@@ -78,7 +78,7 @@ class LiconicSimulator(Simulated):
             full = [s for s in (slot_name(OWN, n) for n in range(1, SLOTS + 1)) if self.top(self.place(s))]
             if len(full) != 1:
                 raise self.make_refusal(
-                    f"there are {len(full)} plates in stacker {OWN}; nobody said which", "Name the slot."
+                    f"there are {len(full)} plates in stacker {OWN}, and no slot is given", "Name the slot."
                 )
             (slot,) = full
         await self._shovel(slot, "exchange", 18)
