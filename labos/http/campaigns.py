@@ -235,7 +235,7 @@ def _plan_rows(service: LabService, checked: CheckedCampaign, rows: Sequence[int
         if content.file.due and (wrong := explain_no_time(due)):
             place = line.place_of(f"payload.{content.file.due}")
             checked.report.error(
-                f"Row {row}: {wrong}",
+                f"Row {row + 1}: {wrong}",
                 place,
                 field=content.file.due,
                 remedy="Write 2026-05-04T10:30, or nothing.",

@@ -170,9 +170,9 @@ class Admission:
         own = self._adviser.own
         if not goes_first and own.is_used:
             if own.is_too_early(state, cell):
-                return [Wait(reasons.SoonerLater(), (cell_key(cell),), own.goes_on_at(cell))]
+                return [Wait(reasons.SearchForOrder(), (cell_key(cell),), own.goes_on_at(cell))]
             if self._window_orders.is_too_early(state, cell, now):
-                return [Wait(reasons.SoonerLater(), (cell_key(cell),), now + LOOK_NS)]
+                return [Wait(reasons.SearchForOrder(), (cell_key(cell),), now + LOOK_NS)]
         if goes_first or not _carries(state, option) or self._adviser.has_order(state, cell, now):
             return waits if early else first  # a run that carries nothing blocks no other run
         equals = self._list_equals(state, option, now)

@@ -24,7 +24,7 @@ from labos.core.state import LabState
 from labos.core.together import find_together
 from labos.core.waits import Wait
 from labos.planning.forecast import find_pending_before, find_usual_time, list_left, list_ready_steps
-from labos.planning.ranking import PossibleStart
+from labos.planning.ranking import ReadyStart
 from labos.planning.stuck import find_block
 from labos.planning.touch import near_key
 
@@ -97,11 +97,11 @@ def check_for_others(
     return Wait(why, (near_key(plan.workcell),), until)
 
 
-def put_last(state: LabState, starts: list[PossibleStart]) -> list[PossibleStart]:
+def put_last(state: LabState, starts: list[ReadyStart]) -> list[ReadyStart]:
     """The same starts. Steps that may be carried out together move to the end, to take into account what
     other runs start now. Steps of runs with windows keep their places."""
 
-    def comes_late(start: PossibleStart) -> bool:
+    def comes_late(start: ReadyStart) -> bool:
         if start.bundle or start.run.id in state.runs.windowed:
             return False
         return find_together(state, state.runs.plan_of(start.run).steps[start.step]) is not None

@@ -22,7 +22,7 @@ from labos.planning.urgency import is_urgent
 from labos.planning.work_behind import WorkBehind
 
 
-class PossibleStart(msgspec.Struct, frozen=True):
+class ReadyStart(msgspec.Struct, frozen=True):
     """Something that may start: a step of a started run, or a bundle of waiting runs, with its first run."""
 
     run: RunState
@@ -64,15 +64,15 @@ class Ranking:
         self._setup_order.forget()
 
     def sort(
-        self, state: LabState, starts: list[PossibleStart], patience: OvertakeCounts, now: int
-    ) -> list[PossibleStart]:
+        self, state: LabState, starts: list[ReadyStart], patience: OvertakeCounts, now: int
+    ) -> list[ReadyStart]:
         """What may start, in the order in which it is tried."""
         if len(starts) < 2:
             return starts
         turns = self._swap_turns(state, [start for start in starts if not start.bundle])
         return sorted(starts, key=lambda start: self._rank(state, start, patience, now, turns))
 
-    def _swap_turns(self, state: LabState, starts: Sequence[PossibleStart]) -> dict[RunId, int]:
+    def _swap_turns(self, state: LabState, starts: Sequence[ReadyStart]) -> dict[RunId, int]:
         """The positions that equal runs inside take instead of their own. It makes no difference which of
         several equally old runs of one plan ends first. So the one with the most work left takes the position
         of the oldest."""
@@ -117,7 +117,7 @@ class Ranking:
     def _rank(
         self,
         state: LabState,
-        start: PossibleStart,
+        start: ReadyStart,
         patience: OvertakeCounts,
         now: int,
         turns: Mapping[RunId, int],

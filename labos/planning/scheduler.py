@@ -47,7 +47,7 @@ from labos.planning.forecast import list_ready_steps
 from labos.planning.own_order import BEFORE_START, OwnOrder, OwnOrders
 from labos.planning.patience import OvertakeCounts
 from labos.planning.pilot import Candidate
-from labos.planning.ranking import PossibleStart, Ranking
+from labos.planning.ranking import Ranking, ReadyStart
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
 from labos.planning.sleepers import Name, Sleepers
@@ -130,7 +130,7 @@ class Scheduler:
             else:
                 yield from self._start_step(state, start, now)
 
-    def _start_step(self, state: LabState, start: PossibleStart, now: int) -> Iterator[StepStart]:
+    def _start_step(self, state: LabState, start: ReadyStart, now: int) -> Iterator[StepStart]:
         """Propose a step of an active run. If the step has to wait, it sleeps instead."""
         run = start.run
         # It wakes only now: starts of other runs before this check count as overtaking it.
@@ -281,7 +281,7 @@ class Scheduler:
 
     # -- waking ------------------------------------------------------------------------------
 
-    def _wake(self, state: LabState, now: int) -> list[PossibleStart]:
+    def _wake(self, state: LabState, now: int) -> list[ReadyStart]:
         touched, self._touched = self._touched, Touched()
         named = touched.named
         if self._fresh:
@@ -383,13 +383,13 @@ class Scheduler:
             return touched
         return sort_keys([*keys, *(key for cell in left for key in _list_keys_of(cell))])
 
-    def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> PossibleStart | None:
+    def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> ReadyStart | None:
         """What to check for a name: the step of an active run, or the first run of a bundle. None if the
         bundle is gone, or if it has to wait by the rules. A bundle that has to wait sleeps again at once."""
         who, step = name
         active = state.runs.active.get(RunId(who))
         if active is not None:
-            return PossibleStart(active, step)
+            return ReadyStart(active, step)
         self.sleepers.wake(name)
         if who not in self.room:
             return None
@@ -400,7 +400,7 @@ class Scheduler:
         for wait in waits:
             self.sleepers.sleep(name, wait)
         first = self.admission.find_first(state, who, now) if not waits else None
-        return PossibleStart(first, 0, who) if first is not None else None
+        return ReadyStart(first, 0, who) if first is not None else None
 
     def _find_waits_at_start(self, state: LabState, bundle: str, run: RunState, now: int) -> list[Wait]:
         """The wait by the rules of each first step of a run of a bundle; empty if one of them is possible.
@@ -464,7 +464,7 @@ class Scheduler:
         runs."""
         run = state.runs.active.get(name)
         if run is not None:
-            starts = [PossibleStart(run, step) for step in list_ready_steps(state, run)]
+            starts = [ReadyStart(run, step) for step in list_ready_steps(state, run)]
             for start in self.ranking.sort(state, starts, self.patience, now):
                 yield from self._start_step(state, start, now)
 

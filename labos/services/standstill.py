@@ -294,6 +294,7 @@ class Standstill:
                 | reasons.AfterElder()
                 | reasons.WouldBlock()
                 | reasons.HoldsUp()
+                | reasons.SearchForOrder()
                 | reasons.SoonerLater()
                 | reasons.SoonerAfter()
                 | reasons.LaterHere()

@@ -64,6 +64,11 @@ class HoldsUp(Reason, frozen=True):
     until: str
 
 
+class SearchForOrder(Reason, frozen=True):
+    SENTENCE = "its first step waits a moment: the lab searches for an order in which all work ends sooner"
+    WAKES = ("cell", "near", "module")
+
+
 class SoonerLater(Reason, frozen=True):
     SENTENCE = "its first step waits, because all work would end later if it started now"
     WAKES = ("cell", "near", "module")
@@ -159,6 +164,7 @@ PlanningReason = (
     | ClockLater
     | WouldBlock
     | HoldsUp
+    | SearchForOrder
     | SoonerLater
     | BetterHere
     | NoWayOut

@@ -104,7 +104,7 @@ def test_rows_of_a_campaign_are_due(lab: LabThread, tmp_path: Path) -> None:
         there = int(time.mktime(time.strptime("2099-05-04T10:30", "%Y-%m-%dT%H:%M"))) * 10**9
         assert due == [there, 4081487400 * 10**9, 0]
         (tmp_path / "cuts.yaml").write_text(CAMPAIGN.replace("2099-05-04T10:30", "soon"))
-        with pytest.raises(BadInput, match="Row 0: 'soon' is not a time"):
+        with pytest.raises(BadInput, match="Row 1: 'soon' is not a time"):
             client.submit_campaign(tmp_path / "cuts.yaml", user="ada")
         again = client.clone_campaign(campaign["campaign"], "ada")
         assert again["campaign"] != campaign["campaign"]
