@@ -59,24 +59,6 @@ def test_an_arm_carries_a_plate_however_its_places_are_written(bench: Bench, wor
     asyncio.run(body())
 
 
-def test_an_arm_turns_its_grip_at_the_regrip_station(bench: Bench, world: World) -> None:
-    """It takes the plate up with the grip of the target, as the real one does."""
-
-    async def body() -> None:
-        arm = await bench.start(PF400, "pf400")
-        world.stock("sealer.default", "plate")
-        await arm.transfer("sealer.default", "ot2.deck2", "narrow", "wide", rotation_deck="wc.regrip")
-        grips = [(m.verb, m.place, m.facts["how"]) for m in world.motions() if m.verb in ("grip", "release")]
-        assert grips == [
-            ("grip", "sealer.default", "narrow"),
-            ("release", "wc.regrip", "narrow"),
-            ("grip", "wc.regrip", "wide"),
-            ("release", "ot2.deck2", "wide"),
-        ]
-
-    asyncio.run(body())
-
-
 def test_an_arm_puts_a_plate_on_a_plate_and_crashes(bench: Bench, world: World) -> None:
     async def body() -> None:
         arm = await bench.start(PF400, "pf400")
