@@ -41,6 +41,7 @@ class Arm(Simulated):
                 self.world.enter(self.name, self.place(regrip))
                 if self.find_held_plate():
                     self.world.release(self.name, self.place(regrip), grips[0])
+                    # The bench takes the turn of the plate into account at the target.
                     self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
             self._let_go(target, grips[1], slip)
