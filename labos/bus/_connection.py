@@ -67,6 +67,7 @@ async def keep_connected(
             logged = False
         elif check.note_missed():
             if not logged:
-                _log.warning("bus_connected_again", why="the router of this connection was closed")
+                why = "the bus at the other end was closed, or it does not accept this certificate (yet)"
+                _log.warning("bus_connects_again", why=why)
             logged = True
             await reopen()

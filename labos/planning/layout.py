@@ -179,7 +179,7 @@ def lay_out(state: LabState, cell: str, actors: Sequence[Actor], *, hopeful: boo
                 change_claim(floor, target, str(action.run), 1)
     for actor in actors:
         keep_after_failure(floor, actor, actor.kept)
-        await_end(floor, actor)
+        hold_back_closing(floor, actor)
     return floor
 
 
@@ -205,7 +205,7 @@ def _find_ready(
     return found
 
 
-def await_end(floor: Floor, actor: Actor) -> None:
+def hold_back_closing(floor: Floor, actor: Actor) -> None:
     """Make the closing workflow of an actor's experiment, if there is one, wait for the actor's end."""
     if actor.home:
         floor.put(floor.held.setdefault(actor.home, {}), actor.name, "inside")

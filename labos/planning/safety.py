@@ -40,7 +40,14 @@ from labos.core.runs import IN_FLIGHT, SETTLED, UNKNOWN, RunState, RunStatus, li
 from labos.core.state import LabState
 from labos.planning.floor import Actor, Branch, Floor, is_closing
 from labos.planning.forks import find_branches, find_kept, list_motions
-from labos.planning.layout import await_end, find_joint, find_standing, is_down, keep_after_failure, lay_out
+from labos.planning.layout import (
+    find_joint,
+    find_standing,
+    hold_back_closing,
+    is_down,
+    keep_after_failure,
+    lay_out,
+)
 from labos.planning.leaving import find_way_out
 from labos.planning.moves import may_move, move
 from labos.planning.orders import put_in_order
@@ -243,7 +250,7 @@ class Safety:
             inside = {actor.name for actor in actors}
             coming = {actor.name for actor in actors if not actor.stuck} - before
             to_end = (to_end & inside) | coming | {name}
-            await_end(floor, actors[-1])
+            hold_back_closing(floor, actors[-1])
         mover = next(actor for actor in actors if actor.name == name)
         path = self.find_path(state, run.plan)
         forks = bool(path.ways) and run.status != RunStatus.LEAVING
