@@ -91,7 +91,7 @@ class FacetValue(msgspec.Struct, frozen=True):
 class SearchResult(msgspec.Struct, frozen=True):
     """``total`` is the number of matching entries; ``entries`` is the requested part of them. ``facets``
     count the entries for each value, the most frequent first. The search index covers the log up to
-    ``position``; ``behind`` is the number of later events."""
+    ``position``; ``behind`` is the number of later events that were in the log when the query came."""
 
     entries: list[SearchEntry]
     total: int
@@ -108,7 +108,8 @@ _JSON = ("keywords", "creators", "files")
 
 
 def find(asker: ReadConnection, question: SearchQuery, log_position: int = 0) -> SearchResult:
-    """Answer a query from the present search index. Raises BadInput for an invalid query."""
+    """Answer a query from the present search index. ``log_position`` is the position of the log when the
+    query came. Raises BadInput for an invalid query."""
     where, values = _write_conditions(asker, question)
     position = asker.fetch("SELECT position FROM projection")[0][0]
     total = asker.fetch(f"SELECT count(*) FROM entries WHERE {where}", *values)[0][0]

@@ -43,6 +43,7 @@ class Index:
         """Update the index for a limited time, and answer the query. Raises LabosError."""
         clock = SystemClock()
         began = clock.monotonic()
+        log_position = self._store.head().position
 
         def stop_in_time(position: int, head: int) -> None:
             if position < head and clock.monotonic() - began > ENOUGH_S:
@@ -52,7 +53,7 @@ class Index:
         with suppress(_TimeUsed, StoreUnavailable):
             self._projector.catch_up(stop_in_time)
         with open_asker(self._url) as asker:
-            return find(asker, question, self._store.head().position)
+            return find(asker, question, log_position)
 
 
 def main() -> None:

@@ -40,7 +40,7 @@ def open_log_and_views(
 
 
 @contextmanager
-def open_views(where: Where, limit_s: float) -> Iterator[ReadConnection]:
+def open_views(where: Where, limit_s: float = TIME_LIMIT_S) -> Iterator[ReadConnection]:
     """The same, for commands that need only the views."""
     with open_log_and_views(where, limit_s) as (_, asker):
         yield asker

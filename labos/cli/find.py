@@ -9,7 +9,7 @@ import msgspec
 
 from labos.audit._entry_tables import KINDS
 from labos.audit.find import FACETS, MOST_FOUND, SearchQuery, SearchResult, find
-from labos.cli._audit import open_log_and_views
+from labos.cli._audit import open_views
 from labos.cli._out import end_with_json, show_table
 from labos.cli._query import Where, as_time, log_and_json
 from labos.client import LabClient
@@ -63,8 +63,8 @@ def command(where: Where, words: tuple[str, ...], facets: bool, **options: Any) 
             del asked["hidden"]  # the lab knows which campaigns the user sees
             found = msgspec.convert(client.find(**asked), SearchResult)
     else:
-        with open_log_and_views(where) as (store, asker):
-            found = find(asker, question, store.head().position)
+        with open_views(where) as asker:
+            found = find(asker, question)
     end_with_json(found)
     _show(found, question)
 

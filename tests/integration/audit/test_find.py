@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,15 @@ import pytest
 
 from labos.audit import projector
 from labos.audit.database import find_audit_file, open_audit
-from labos.audit.find import SearchQuery, SearchResult, find
+from labos.audit.find import LogPlace, SearchQuery, SearchResult, find
+from labos.audit.find_process import Index
 from labos.audit.query import open_asker
 from labos.audit.words import join_words, words_of
 from labos.cli.app import main
+from labos.core.ids import LabId
 from labos.core.labware import Sample, SamplesRegistered
 from labos.errors import BadInput
+from labos.store import open_store
 from tests.integration.audit.logs import GrowingLog, project
 from tests.support.audited import PLATE, SHEET
 from tests.support.published import PICTURE, TITLE, publish_lab
@@ -144,6 +149,33 @@ def test_the_index_agrees_with_its_rows_after_each_change(tmp_path: Path) -> Non
         lite = sqlite3.connect(find_audit_file(tmp_path / "labos.db"))
         lite.execute("INSERT INTO labos_entry_words (labos_entry_words, rank) VALUES ('integrity-check', 1)")
         lite.close()
+
+
+def test_a_search_is_complete_while_events_are_written(tmp_path: Path) -> None:
+    records = publish_lab().records
+    half = len(records) // 2
+    url = f"sqlite:///{tmp_path / 'labos.db'}"
+    store = open_store(url, home=tmp_path)
+    head = store.append(store.claim(LabId(records[0].head.lab), "test", 30.0), records[:half])
+
+    def write_the_rest() -> None:
+        now = head
+        for record in records[half:]:
+            now = store.append(now, [record])
+
+    index = Index(LogPlace(url, str(tmp_path / "blobs"), str(tmp_path)))
+    found = [index.answer(SearchQuery())]
+    with closing(store), ThreadPoolExecutor(1) as pool:
+        writing = pool.submit(write_the_rest)
+        while not writing.done():
+            found.append(index.answer(SearchQuery()))
+        writing.result()
+    found.append(index.answer(SearchQuery()))
+    assert {result.behind for result in found} == {0}
+    positions = [result.position for result in found]
+    assert positions == sorted(positions)
+    assert (positions[0], positions[-1]) == (half, len(records))
+    assert len(set(positions)) > 2, "no search came while the events were written"
 
 
 def test_find_answers_at_the_shell_and_is_rebuilt_by_one_command(
