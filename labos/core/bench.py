@@ -385,6 +385,8 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
     if event.action in bench.reserved:
         return  # another attempt at the same action
     bench.reserved[event.action] = event.effects
+    if not event.effects:
+        return
     _expect(bench, event.effects, 1)
     for what in list_carried(event.effects):
         if what.stock:
@@ -405,6 +407,8 @@ def fold_action_discovered(bench: Bench, event: ActionDiscovered, at: int) -> No
 def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
     """The reservations of the action are released; its effects follow as separate events."""
     effects = bench.reserved.pop(event.action, ())
+    if not effects:
+        return
     _expect(bench, effects, -1)
     for name in find_labware_used(effects):
         labware = bench.labware.get(name)

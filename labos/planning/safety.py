@@ -155,13 +155,20 @@ class Safety:
         return run.id in self._check_before(ground, actors, view).ends
 
     def list_trapped(
-        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        *,
+        only_asking: bool = False,
+        is_blocked: bool | None = None,
     ) -> list[str]:
         """The actors that could no longer reach their ends after the start of a step; empty if the start is
         safe. A new run counts as one of the actors: it is admitted only if it can reach its end. Unless
-        ``only_asking``, a start that is safe is recorded as made."""
+        ``only_asking``, a start that is safe is recorded as made. ``is_blocked``: whether ``find_block``
+        finds a wait for the run (None: the caller does not know)."""
         cell = state.runs.plan_of(run).workcell
-        if self._can_pass(state, run, cell):
+        if self._can_pass(state, run, cell, is_blocked):
             return []
         actors = self.list_actors(state, cell)
         found: dict[View, LastResult] = {}
@@ -200,7 +207,7 @@ class Safety:
                 return False
         return True
 
-    def _can_pass(self, state: LabState, run: RunState, cell: str) -> bool:
+    def _can_pass(self, state: LabState, run: RunState, cell: str, is_blocked: bool | None) -> bool:
         """Whether a new run only uses modules, and could use each of them now. Then it takes nothing from
         other runs, and can reach its end before them."""
         if run.has_started or run.experiment in state.experiments.open:
@@ -208,7 +215,7 @@ class Safety:
         path = self.find_path(state, run.plan)
         if path.ways or path.changing:
             return False
-        newcomer = self.make_actor(state, run)
+        newcomer = self.make_actor(state, run, is_blocked=is_blocked)
         floor = lay_out(state, cell, [newcomer], hopeful=False)
         return not newcomer.stuck and all(may_move(floor, newcomer, motion) for motion in path.motions)
 
@@ -362,9 +369,9 @@ class Safety:
             parks=experiment.status == ExperimentStatus.OPEN,
         )
 
-    def make_actor(self, state: LabState, run: RunState) -> Actor:
+    def make_actor(self, state: LabState, run: RunState, *, is_blocked: bool | None = None) -> Actor:
         """A run as an actor, with the motions that it has left. If a closing workflow waits for its end, that
-        workflow gets the labware that the run leaves."""
+        workflow gets the labware that the run leaves. ``is_blocked``: see ``list_trapped``."""
         path, plan = self.find_path(state, run.plan), state.runs.plan_of(run)
         # A step of unknown outcome counts as done, as it does on the floor.
         states = [IN_FLIGHT if status == UNKNOWN else status for status in list_statuses(plan, run)]
@@ -390,7 +397,7 @@ class Safety:
             motions,
             own,
             (*([owner] if experiment is not None else []), user_owner(run.user), SHARED),
-            stuck=lost or find_block(state, run) is not None,
+            stuck=lost or (find_block(state, run) is not None if is_blocked is None else is_blocked),
             parks=bool(home) and experiment is not None and experiment.status == ExperimentStatus.OPEN,
             forks=forks,
             kept=tuple(kept),

@@ -26,7 +26,7 @@ from labos.core.ids import (
     InterventionId,
     ModuleName,
     RunId,
-    find_owning_run,
+    run_key,
     workcell_of,
 )
 from labos.core.leaving import will_leave
@@ -73,6 +73,9 @@ from labos.planning.touch import (
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import PATIENCE, Kind, WaitingRoom
 from labos.planning.window_order import MOST_WAITING, WindowOrders
+
+_OF_RUN = run_key(RunId(""))
+"""The beginning of the keys of runs."""
 
 MOST_BUNDLES = 50
 """The most bundles of a workcell whose plans are read, so that the cost of a decision has a limit."""
@@ -215,7 +218,9 @@ class Scheduler:
 
     def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
         """The wait of a step after whose start a run or an experiment could not reach its end."""
-        trapped = self.safety.list_trapped(state, run, step, only_asking=only_asking)
+        # Whether a run outside is blocked was checked before.
+        is_blocked = None if run.has_started else False
+        trapped = self.safety.list_trapped(state, run, step, only_asking=only_asking, is_blocked=is_blocked)
         if not trapped:
             return None
         self.refusals += 1
@@ -309,10 +314,11 @@ class Scheduler:
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
-            if run := find_owning_run(key):
+            if key.startswith(_OF_RUN):
+                run = RunId(key.removeprefix(_OF_RUN))
                 names.update(dict.fromkeys(self._list_run_steps(state, run), True))
-            else:
-                names |= self.sleepers.find_waiting(key)
+            elif waiting := self.sleepers.find_waiting(key):
+                names |= waiting
         if touched.whole:
             active = state.runs.active.values()
             names.update({(run.id, step): True for run in active for step in list_ready_steps(state, run)})

@@ -38,17 +38,17 @@ from labos.planning.forecast import list_ready_steps
 
 def find_block(state: LabState, run: RunState) -> Wait | None:
     """The first reason why a run is blocked, whatever other runs do; None if it is not blocked."""
-    steps = state.runs.plan_of(run).steps
+    plan = state.runs.plan_of(run)
     wait = find_person_wait(state, run)
     if wait is not None:
         return wait
     if run.has(UNKNOWN):
-        key = steps[run.statuses.index(UNKNOWN)].key
+        key = plan.steps[run.statuses.index(UNKNOWN)].key
         return Wait(reasons.Outcome(key), (run_key(run.id),))
     for _, wait in find_questions(state, run):
         return wait
-    states = list_statuses(state.runs.plan_of(run), run)
-    left = [step for step, status in zip(steps, states, strict=True) if status not in SETTLED]
+    states = list_statuses(plan, run)
+    left = [step for step, status in zip(plan.steps, states, strict=True) if status not in SETTLED]
     return (
         _check_halted(state, run, left)
         or _check_lost(state, (run_owner(run.id),))
@@ -64,8 +64,10 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
 
 def find_questions(state: LabState, run: RunState) -> list[tuple[int, Wait]]:
     """The failed steps, by index, for which a person has to decide what happens, with their waits."""
-    steps = state.runs.plan_of(run).steps
     questions = state.interventions.find_by_run(run.id)
+    if not questions:
+        return []
+    steps = state.runs.plan_of(run).steps
     indices = [(q.topic.step, q.id) for q in questions if isinstance(q.topic, FailedStep)]
     return [(index, Wait(reasons.Asked(steps[index].key, name))) for index, name in indices]
 

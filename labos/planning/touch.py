@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 
 import msgspec
 
@@ -188,7 +189,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     if not cell or not keys:
         return keys
     # The changes that an action made to labware follow as separate events.
-    stays = isinstance(event, ActionSucceeded) or (isinstance(event, ActionRequested) and not event.effects)
+    stays = isinstance(event, _NO_MOTION) or (isinstance(event, ActionRequested) and not event.effects)
     return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), labware_key(cell))
 
 
@@ -196,8 +197,8 @@ def _find_cell(state: LabState, event: Event) -> str:
     """The workcell in which an event happens; empty if it is not known."""
     if isinstance(event, WorkcellApplied | StationsApplied):
         return event.name
-    for field in _PLACES:
-        name = getattr(event, field, "")
+    for field in _list_place_fields(type(event)):
+        name = getattr(event, field)
         if name:
             return workcell_of(StationName(name))
     labware = state.bench.labware.get(getattr(event, "labware", LabwareId("")))
@@ -212,11 +213,20 @@ _PLACES = ("module", "station", "source", "where", "stack")
 """The fields of events that name a module or a station."""
 
 
+@cache
+def _list_place_fields(kind: type[Event]) -> tuple[str, ...]:
+    """The fields of an event of this type that name a module or a station."""
+    return tuple(field for field in _PLACES if field in kind.__struct_fields__)
+
+
 def find_cell_of_run(state: LabState, run: str) -> str:
     """The workcell of a run that has not ended; empty if there is no such run."""
     known = state.runs.get(run)
     return state.runs.plan_of(known).workcell if known is not None else ""
 
+
+_NO_MOTION = (RunSubmitted, RunStarted, ActionSucceeded)
+"""After these events, labware stands where it stood before, and belongs to the same owners."""
 
 _LESS_IS_TO_COME = (
     ActionSucceeded,

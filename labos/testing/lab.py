@@ -43,7 +43,13 @@ class _Trusting(Safety):
     """Planning that starts everything that the rules allow."""
 
     def list_trapped(
-        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        *,
+        only_asking: bool = False,
+        is_blocked: bool | None = None,
     ) -> list[str]:
         return []
 

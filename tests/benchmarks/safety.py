@@ -48,10 +48,16 @@ class TimedSafety(Safety):
         self.taken: list[tuple[int, float, bool]] = []
 
     def list_trapped(
-        self, state: LabState, run: RunState, step: int, *, only_asking: bool = False
+        self,
+        state: LabState,
+        run: RunState,
+        step: int,
+        *,
+        only_asking: bool = False,
+        is_blocked: bool | None = None,
     ) -> list[str]:
         began = time.thread_time()
-        trapped = super().list_trapped(state, run, step, only_asking=only_asking)
+        trapped = super().list_trapped(state, run, step, only_asking=only_asking, is_blocked=is_blocked)
         took = time.thread_time() - began
         actors = len(self.list_actors(state, state.runs.plan_of(run).workcell))
         self.taken.append((actors + (run.status == "queued"), took, bool(trapped)))

@@ -159,7 +159,8 @@ def request_action(
     if fault := _find_liquid_fault(state, effects):
         return _fail_start(state, run, step, fault)
     args = expand_hotels(step.effects, effects, _fill_in_from_labware(state, args, effects))
-    events += _hand_labware_to_run(state, run, found)
+    if found:
+        events += _hand_labware_to_run(state, run, found)
     module = state.modules.by_name[step.module]
     args = _add_labware_types(state, args, effects)
     if "slow" in args and find_unproven(module, effects, args):

@@ -120,16 +120,23 @@ def _find_cell(state: LabState, command: Command) -> str:
 # -- approval ------------------------------------------------------------------------------------
 
 
-def list_reasons(state: LabState, asked: Submission, actor: str, parts: dict[str, str]) -> tuple[Why, ...]:
-    """Why a submission of ``actor`` with these ``parts`` waits for an approval; empty if it does not."""
+def list_reasons(state: LabState, asked: Submission, actor: str, experiment: str = "") -> tuple[Why, ...]:
+    """Why a submission of ``actor``, to an experiment or to none, waits for an approval; empty if it does
+    not. ``leave_out_covered`` leaves out the reasons that do not apply to runs like an approved one."""
     found = tuple(_iterate_reasons(state, asked, actor))
-    experiment = parts.get("experiment", "")
-    if take_common_parts(parts) in state.approvals.alike.get(experiment, {}):
-        found = tuple(why for why in found if why.code not in COVERED)
-    known = state.experiments.open.get(ExperimentId(experiment))
+    known = state.experiments.open.get(ExperimentId(experiment)) if experiment else None
     if known is not None and known.held:
         found = (*found, Why("experiment", f"its experiment {experiment} waits for an approval"))
     return found
+
+
+def leave_out_covered(state: LabState, why: tuple[Why, ...], parts: dict[str, str]) -> tuple[Why, ...]:
+    """These reasons without those that do not apply, if a run like the one with these ``parts`` was approved
+    with `alike`."""
+    alike = state.approvals.alike.get(parts.get("experiment", ""), {})
+    if alike and take_common_parts(parts) in alike:
+        return tuple(reason for reason in why if reason.code not in COVERED)
+    return why
 
 
 def _iterate_reasons(state: LabState, asked: Submission, actor: str) -> Iterator[Why]:

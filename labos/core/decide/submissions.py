@@ -32,6 +32,7 @@ from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.policy import (
     Submission,
     find_service,
+    leave_out_covered,
     list_reasons,
     refuse_priority,
     sum_demand,
@@ -185,6 +186,11 @@ def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
 
 def _request_for_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> list[Event]:
     event = next(event for event in events if isinstance(event, RunSubmitted))
+    demand = sum_demand_of_choices(command.plans)
+    asked = Submission(event.user, command.plan.workcell, demand, command.propose)
+    why = list_reasons(state, asked, actor, event.experiment)
+    if not why:
+        return []
     pins = {name: value for name, value in event.pins.items() if name != "request"}
     parts = {
         **pins,
@@ -194,9 +200,8 @@ def _request_for_run(state: LabState, command: SubmitRun, events: list[Event], a
         "payload": _make_digest(event.payload),
         **({"experiment": event.experiment} if event.experiment else {}),
     }
-    demand = sum_demand_of_choices(command.plans)
-    asked = Submission(event.user, command.plan.workcell, demand, command.propose)
-    return _request(state, event.run, "run", event.workflow, asked, actor, parts, [event.priority])
+    also = [event.priority]
+    return _request(state, event.run, "run", event.workflow, asked, actor, parts, also, why=why)
 
 
 def _request_for_campaign(state: LabState, command: SubmitCampaign, actor: str) -> list[Event]:
@@ -251,7 +256,7 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
     demand = Demand(dangers=dangers, rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
     parts = _list_table_parts(campaign, campaign.terms)
-    reasons = list_reasons(state, asked, campaign.user, parts)
+    reasons = list_reasons(state, asked, campaign.user)
     why = tuple(reason for reason in reasons if reason.code == "dangerous")
     who, name = campaign.user, campaign.name
     return _request(state, campaign.id, "campaign", name, asked, who, parts, why=why) or events
@@ -286,7 +291,7 @@ def _request(
 ) -> list[Event]:
     """The event that makes a submission wait for an approval; none if it needs none. ``why`` are the reasons
     if they are known already."""
-    why = list_reasons(state, asked, actor, parts) if why is None else why
+    why = leave_out_covered(state, list_reasons(state, asked, actor) if why is None else why, parts)
     if not why:
         return []
     past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)
