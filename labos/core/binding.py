@@ -43,6 +43,8 @@ from labos.core.waits import Wait, describe_occupants, list_keys_until_free, lis
 
 def bind(state: LabState, run: RunState, step: PlanStep) -> Wait | tuple[AnyEffect, ...]:
     """Write into the effects which labware they touch, if all of them are possible now."""
+    if not step.effects:
+        return ()
     start = StartCheck(state, run, step)
     for effect in step.effects:
         wait = check_effect(start, effect)

@@ -13,7 +13,8 @@ from labos.core.waits import list_party
 def find_other_holder(state: LabState, name: ModuleName, run: RunState) -> str:
     """The owner who keeps a module from this run: by labware at a station that claims the module, by a hold
     of a plan, or by a door or lid left away from rest. Empty if there is none."""
-    return find_other_claimant(state, name, list_party(run)) or find_other_keeper(state, name, run)
+    claimant = find_other_claimant(state, name, list_party(run)) if name in state.bench.by_module else ""
+    return claimant or find_other_keeper(state, name, run)
 
 
 def find_other_keeper(state: LabState, name: ModuleName, run: RunState) -> str:
@@ -59,6 +60,8 @@ def find_other_claimant(state: LabState, name: ModuleName, allowed: tuple[Owner,
 
 def find_holder_by_plan(state: LabState, name: ModuleName, run: RunState) -> str:
     """The other run whose plan keeps the module."""
+    if name not in state.runs.holders:
+        return ""
     return next((run_owner(holder) for holder in state.runs.list_holders(name) if holder != run.id), "")
 
 

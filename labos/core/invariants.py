@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from typing import Any
 
@@ -29,7 +29,7 @@ def find_broken(state: LabState) -> str:
         or _check_modules(state, state.modules.by_name)
         or _check_actions(state, state.actions.open)
         or _check_runs(state, state.runs.active)
-        or _check_campaigns(state.campaigns.open)
+        or _check_campaigns(state, state.campaigns.open)
         or _queue(state)
         or _check_indexes(state)
     )
@@ -58,14 +58,10 @@ def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
             places += list_arrivals(event.effects or ())
     places += [item.station for item in found["labware"].values()]
     found["station"] |= {place: bench.stations[place] for place in places if place in bench.stations}
-    return (
-        _check_stations(state, found["station"])
-        or _check_labware(state, found["labware"])
-        or _check_modules(state, found["module"])
-        or _check_actions(state, found["action"])
-        or _check_runs(state, found["run"])
-        or _check_campaigns(found["campaign"])
-    )
+    for kind, subjects in found.items():
+        if subjects and (fault := _CHECKS[kind](state, subjects)):
+            return fault
+    return ""
 
 
 _KINDS = {
@@ -202,9 +198,20 @@ def _check_indexes(state: LabState) -> str:
     return ""
 
 
-def _check_campaigns(campaigns: Mapping[CampaignId, Campaign]) -> str:
+def _check_campaigns(state: LabState, campaigns: Mapping[CampaignId, Campaign]) -> str:
     for name, campaign in campaigns.items():
         ended = campaign.completed + campaign.failed + campaign.cancelled + campaign.refused
         if ended + len(campaign.runs) != campaign.next_row or campaign.next_row > campaign.rows:
             return f"{name} has submitted {campaign.next_row} of {campaign.rows} rows, but knows of others"
     return ""
+
+
+_CHECKS: dict[str, Callable[[LabState, Any], str]] = {
+    "station": _check_stations,
+    "labware": _check_labware,
+    "module": _check_modules,
+    "action": _check_actions,
+    "run": _check_runs,
+    "campaign": _check_campaigns,
+}
+"""The check of the subjects of each kind."""

@@ -308,7 +308,7 @@ class Module(msgspec.Struct):
     @property
     def busy(self) -> bool:
         """Whether an exclusive action is in flight."""
-        return any(flight.exclusive for flight in self.in_flight.values())
+        return bool(self.in_flight) and any(flight.exclusive for flight in self.in_flight.values())
 
 
 class Modules(msgspec.Struct):

@@ -139,6 +139,8 @@ def check_starts_allowed(state: LabState, run: RunState, step: PlanStep) -> Wait
 
 def check_no_access(state: LabState, run: RunState, step: PlanStep) -> Wait | None:
     """No step starts in a workcell into which a person reaches; arms are parked before."""
+    if not state.lab.access:
+        return None
     cell = workcell_of(step.module)
     access = state.lab.access.get(cell)
     if access is None or (not access.granted and run.plan in access.parking):

@@ -361,7 +361,7 @@ def find_holds(run: RunState) -> int:
 
 def list_clocks(run: RunState) -> tuple[int, ...]:
     """The times at which other runs have started this run's clocks (UTC ns)."""
-    return tuple(anchor.ended_at for anchor in run.anchors)
+    return tuple(anchor.ended_at for anchor in run.anchors) if run.anchors else ()
 
 
 def find_anchor(run: RunState, window: Window) -> int | None:

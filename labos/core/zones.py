@@ -7,7 +7,7 @@ until it is idle again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 
 from labos.core.actions import ActionStatus
 from labos.core.effects import AnyEffect, Carrying, Needs
@@ -16,10 +16,12 @@ from labos.core.modules import Module, ModuleStatus
 from labos.core.state import LabState
 
 
-def find_zones(state: LabState, module: ModuleName, effects: Iterable[AnyEffect]) -> tuple[str, ...]:
+def find_zones(state: LabState, module: ModuleName, effects: Collection[AnyEffect]) -> tuple[str, ...]:
     """The zones in which a module is during an exclusive action with these effects."""
     known, stations = state.modules.by_name.get(module), state.bench.stations
     own = known.spec.zone if known is not None else ""
+    if not own and not effects:
+        return ()
     return find_zones_reached(
         own, effects, lambda place: stations[place].spec.zone if place in stations else ""
     )

@@ -64,18 +64,20 @@ class Deadlines:
             for step, window, deadline in list(_list_windows(state, run)):
                 if now > deadline:
                     yield BreachWindow(run, step, window, now)
-        for action in self._actions.list_due(now):
-            self._note_action(state, action)  # its time limit may have been extended since
-        for action in self._actions.list_due(now):
-            yield TimeOutAction(action, now)
+        if actions := self._actions.list_due(now):
+            for action in actions:
+                self._note_action(state, action)  # its time limit may have been extended since
+            for action in self._actions.list_due(now):
+                yield TimeOutAction(action, now)
         for module, back_at in list(state.modules.back_at.items()):
             if back_at <= now:
                 yield EndOutage(module, now)
         yield from self._bookings.iterate_due(state.bookings, now)
-        for run in self._closings.list_due(now):
-            self._note_closing(state, run)  # a person may have been asked since
-        for run in self._closings.list_due(now):
-            yield AskAboutClosing(run, now)
+        if closings := self._closings.list_due(now):
+            for run in closings:
+                self._note_closing(state, run)  # a person may have been asked since
+            for run in self._closings.list_due(now):
+                yield AskAboutClosing(run, now)
         for question in self._questions.list_due(now):
             yield NoteOverdue(question, now)
 

@@ -96,6 +96,8 @@ def list_left(state: LabState, run: RunState) -> list[PlanStep]:
 
 def list_clocked(plan: PlanState, index: int) -> list[int]:
     """The steps that have to start within a limited time after the end of this step."""
+    if not plan.windowed:
+        return []
     return [
         follower
         for follower in plan.windowed

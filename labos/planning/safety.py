@@ -207,7 +207,7 @@ class Safety:
                 return False
         return True
 
-    def _can_pass(self, state: LabState, run: RunState, cell: str, is_blocked: bool | None) -> bool:
+    def _can_pass(self, state: LabState, run: RunState, cell: str, is_blocked: bool | None = None) -> bool:
         """Whether a new run only uses modules, and could use each of them now. Then it takes nothing from
         other runs, and can reach its end before them."""
         if run.has_started or run.experiment in state.experiments.open:

@@ -309,7 +309,9 @@ class Scheduler:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
         cells = list(state.lab.workcells) if touched.whole else named.get(STANDING, ())
-        names: dict[Name, bool] = {(bundle, 0): True for bundle in self.room.follow(state, cells)}
+        names: dict[Name, bool] = {}
+        if cells:
+            names.update({(bundle, 0): True for bundle in self.room.follow(state, cells)})
         names.update(dict.fromkeys(self.sleepers.list_due(now), True))
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
@@ -352,6 +354,8 @@ class Scheduler:
         """Update the lab's own order in each workcell where clocks run, or will run. Returns the workcells
         whose order has changed. ``names`` are the steps and bundles that are checked now."""
         orders = self.window_orders
+        if not (orders.orders or state.runs.windowed or self.adviser.own.is_used):
+            return []
         cells = dict.fromkeys(cell for cell, runs in state.runs.windowed_in.items() if runs)
         if self.adviser.own.is_used:
             touched = (*orders.orders, *self._list_cells(state, names))

@@ -139,9 +139,10 @@ class WaitingRoom:
 
     def _see(self, state: LabState, cell: str) -> dict[Owner, frozenset[StationName]]:
         """Note which users and experiments have labware in a workcell; returns the places of each."""
-        present = _find_present(state, cell)
-        self._somewhere.subtract(self._present.get(cell, {}).keys())
-        self._somewhere.update(present.keys())
+        before, present = self._present.get(cell, {}), _find_present(state, cell)
+        if present != before:
+            self._somewhere.subtract(before.keys())
+            self._somewhere.update(present.keys())
         self._present[cell] = present
         return present
 
@@ -150,6 +151,8 @@ class WaitingRoom:
 
     def take_emptied(self) -> list[str]:
         """The bundles that have become empty since the last call."""
+        if not self._gone:
+            return []
         gone, self._gone = self._gone, []
         return [bundle for bundle in gone if bundle not in self._bundles]
 
@@ -230,7 +233,9 @@ class WaitingRoom:
 
     def list_overtaken(self, state: LabState, cell: str) -> list[RunState]:
         """The waiting runs that were overtaken too often in a workcell."""
-        counts = self._overtakings.get(cell, {})
+        counts = self._overtakings.get(cell)
+        if not counts:
+            return []
         for name in [name for name in counts if name not in state.runs.queued]:
             del counts[name]
         return [state.runs.queued[name] for name, count in counts.items() if round(count, 6) >= PATIENCE]

@@ -137,6 +137,8 @@ class WindowOrders:
 
     def find_next_look(self) -> int | None:
         """The next time at which a search goes on even if nothing happens (UTC ns); None if all are over."""
+        if not self.orders:
+            return None
         searches = [self._searches[cell] for cell in self.orders]
         return min((search.looked + BREATH_NS for search in searches if search.goes_on), default=None)
 

@@ -260,6 +260,8 @@ def _fill_in_wells(
 
 def _find_liquid_fault(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
     """The fault of the liquids that an action would put into wells or draw; empty if there is none."""
+    if not effects:
+        return ""
     fed = next((e.labware for e in effects if isinstance(e, Transfers | Draws) and e.labware), None)
     if fed is None:
         return find_misfit(effects, None, {}, "the labware")

@@ -142,6 +142,8 @@ def list_effect_events(
     """The effects of an ended action on the bench, as events. Each event is computed from the state after the
     ones before. Decisions of the device, such as a slot, are read from its result. The report of a person who
     has ``looked`` overrides earlier observations; the report of a device does not."""
+    if not action.effects:
+        return
     if done == "none":
         yield from put_back_in_place(state, action)
         return
