@@ -47,19 +47,22 @@ def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
         "run": state.runs.active,
         "campaign": state.campaigns.open,
     }
-    found: dict[str, dict[Any, Any]] = {kind: {} for kind in known}
+    found: dict[str, dict[Any, Any]] = {}
     places: list[StationName] = []
     for event in events:
         for field, kind in _find_subjects(type(event)):
             name = getattr(event, field)
             if name in known[kind]:
-                found[kind][name] = known[kind][name]
-        if isinstance(event, ActionRequested | ActionDiscovered):
-            places += list_arrivals(event.effects or ())
-    places += [item.station for item in found["labware"].values()]
-    found["station"] |= {place: bench.stations[place] for place in places if place in bench.stations}
-    for kind, subjects in found.items():
-        if subjects and (fault := _CHECKS[kind](state, subjects)):
+                found.setdefault(kind, {})[name] = known[kind][name]
+        if isinstance(event, ActionRequested | ActionDiscovered) and event.effects:
+            places += list_arrivals(event.effects)
+    if "labware" in found:
+        places += [item.station for item in found["labware"].values()]
+    for place in places:
+        if place in bench.stations:
+            found.setdefault("station", {})[place] = bench.stations[place]
+    for kind, check in _CHECKS.items():
+        if kind in found and (fault := check(state, found[kind])):
             return fault
     return ""
 

@@ -9,6 +9,15 @@ from typing import Generic, TypeVar
 Name = TypeVar("Name", bound=Hashable)
 
 
+def find_earliest(*times: int | None) -> int | None:
+    """The earliest of these times; None if there is none."""
+    earliest = None
+    for time in times:
+        if time is not None and (earliest is None or time < earliest):
+            earliest = time
+    return earliest
+
+
 class Alarms(Generic[Name]):
     """One time (UTC ns) for each name. Setting a time stays fast if many times are set."""
 

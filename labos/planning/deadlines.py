@@ -23,7 +23,7 @@ from labos.core.rules import (
 )
 from labos.core.runs import find_anchor
 from labos.core.state import LabState
-from labos.planning.alarms import Alarms
+from labos.planning.alarms import Alarms, find_earliest
 from labos.planning.booked import BookingTimes
 from labos.planning.forecast import is_pending
 from labos.planning.touch import BEGUN, DUE, EVERYTHING, OVER, RUN, WINDOW, Touched
@@ -93,8 +93,9 @@ class Deadlines:
                 break
             self._actions.set(action, due)
         alarms = (self._windows.find_first(), self._closings.find_first(), at, self._questions.find_first())
-        times = [*alarms, *state.modules.back_at.values(), self._bookings.find_first(state.bookings)]
-        return min((time for time in times if time is not None), default=None)
+        return find_earliest(
+            *alarms, *state.modules.back_at.values(), self._bookings.find_first(state.bookings)
+        )
 
     # -- computing ---------------------------------------------------------------------------
 

@@ -47,6 +47,8 @@ class PunctualOrders:
     def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
         """When each pending step of an order starts (UTC ns), if the order keeps all windows and all goes as
         suggested. None if not, if there is no order, or if none of its runs has windows."""
+        if not state.suggestions.orders and not self._own:
+            return None
         order = find_order(state, self._own, cell, now)
         if order is None:
             return None

@@ -37,6 +37,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.planning import booked
 from labos.planning.admission import Admission
+from labos.planning.alarms import find_earliest
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_should_stay
 from labos.planning.choosing import list_changes
@@ -255,14 +256,12 @@ class Scheduler:
 
     def find_next_deadline(self, state: LabState) -> int | None:
         """The time of the next check even if nothing happens (UTC ns); None if there is none."""
-        times = (self.deadlines.find_first(state), self.find_next_wake())
-        return min((time for time in times if time is not None), default=None)
+        return find_earliest(self.deadlines.find_first(state), self.find_next_wake())
 
     def find_next_wake(self) -> int | None:
         """The time at which a wait ends by itself, or a search for an order continues (UTC ns); None if
         there is none."""
-        times = (self.sleepers.find_first(), self.window_orders.find_next_look())
-        return min((time for time in times if time is not None), default=None)
+        return find_earliest(self.sleepers.find_first(), self.window_orders.find_next_look())
 
     def list_waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not continue: (step, wait) for each step whose turn it is, and for each failed step
