@@ -403,6 +403,8 @@ class NodeServer:
         return self._condition.explain_cannot_begin(spec, self._find_current_action())
 
     def _find_current_action(self) -> str:
+        if not self._condition.doing:
+            return ""
         running = next((a for a in self._memory.list_attempts() if a.action == self._condition.doing), None)
         return f"{running.name} ({running.action})" if running else self._condition.doing
 

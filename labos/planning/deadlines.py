@@ -72,7 +72,8 @@ class Deadlines:
         for module, back_at in list(state.modules.back_at.items()):
             if back_at <= now:
                 yield EndOutage(module, now)
-        yield from self._bookings.iterate_due(state.bookings, now)
+        if state.bookings.open:
+            yield from self._bookings.iterate_due(state.bookings, now)
         if closings := self._closings.list_due(now):
             for run in closings:
                 self._note_closing(state, run)  # a person may have been asked since

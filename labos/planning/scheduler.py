@@ -238,7 +238,8 @@ class Scheduler:
     def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
         """The commands for times that have come, for cancelled runs, and for runs that change their plan."""
         yield from self.deadlines.iterate_due(state, now)
-        yield from self._find_ways_out(state)
+        if state.runs.ending:
+            yield from self._find_ways_out(state)
         yield from list_changes(state, self.safety)
 
     def _find_ways_out(self, state: LabState) -> list[TakeWayOut | GiveUpWayOut]:

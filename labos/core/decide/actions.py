@@ -155,7 +155,7 @@ def request_action(
     if isinstance(given, str):
         return _fail_start(state, run, step, given)
     args, files = given
-    effects = _name_new_labware(state, _fill_in_wells(plan, results, found))
+    effects = _name_new_labware(state, _fill_in_wells(plan, results, found)) if found else ()
     if fault := _find_liquid_fault(state, effects):
         return _fail_start(state, run, step, fault)
     args = expand_hotels(step.effects, effects, _fill_in_from_labware(state, args, effects))
@@ -213,6 +213,8 @@ def _fill_in_from_labware(
 ) -> dict[str, Any]:
     """Replace arguments ``{labware.slot}`` by the samples' values of the labware that the step works on;
     empty if there is no value."""
+    if not args:
+        return args
     subject = next((e.labware for e in effects if isinstance(e, Move | Needs) and e.labware), None)
     values = state.bench.labware[subject].variables if subject else {}
     return {

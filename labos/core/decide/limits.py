@@ -58,10 +58,11 @@ def refuse_misfit(command: Command) -> Rejection | None:
     """Why the texts of a request cannot be recorded; None if they can."""
     fields = _find_fields(type(command))
     texts = [(getattr(command, field), field) for field in fields.texts]
-    texts += [(text, field) for field in fields.several for text in getattr(command, field)]
+    for field in fields.several:
+        texts += [(text, field) for text in getattr(command, field)]
     texts += list_words(command)
     for text, field in texts:
-        if fault := find_fault(text, field):
+        if text and (fault := find_fault(text, field)):
             return Rejection(BAD_TEXT, fault, "Shorten it, or hand in long text as a file.")
     return next(filter(None, map(refuse_misfit, command.list_parts())), None)
 
