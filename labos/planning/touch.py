@@ -188,8 +188,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
         keys = (*keys, QUOTA_KEY)
     if not cell or not keys:
         return keys
-    # The changes that an action made to labware follow as separate events.
-    stays = isinstance(event, _NO_MOTION) or (isinstance(event, ActionRequested) and not event.effects)
+    stays = _leaves_labware_alone(state, event)
     return (*keys, near_key(cell)) if stays else (*keys, near_key(cell), labware_key(cell))
 
 
@@ -225,8 +224,19 @@ def find_cell_of_run(state: LabState, run: str) -> str:
     return state.runs.plan_of(known).workcell if known is not None else ""
 
 
-_NO_MOTION = (RunSubmitted, RunStarted, ActionSucceeded)
-"""After these events, labware stands where it stood before, and belongs to the same owners."""
+def _leaves_labware_alone(state: LabState, event: Event) -> bool:
+    """Whether labware stands where it stood before the event, and belongs to the same owners. A run that
+    starts counts as labware of its experiment."""
+    match event:
+        case RunSubmitted() | ActionSucceeded():
+            return True  # the changes that an action made to labware follow as separate events
+        case ActionRequested():
+            return not event.effects
+        case RunStarted():
+            return not state.runs.active[event.run].experiment
+        case _:
+            return False
+
 
 _LESS_IS_TO_COME = (
     ActionSucceeded,

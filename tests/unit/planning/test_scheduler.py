@@ -7,15 +7,16 @@ import random
 import pytest
 
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.experiments import EndExperiment
 from labos.core.decide.lab import ApplyWorkcell
 from labos.core.decide.nodes import LoseNode, PutBack, TakeOut
-from labos.core.decide.runs import PauseRun, ResumeRun
-from labos.core.ids import ModuleName
+from labos.core.decide.runs import PauseRun, ResumeRun, SubmitRun
+from labos.core.ids import ExperimentId, ModuleName
 from labos.core.model import Plan, Window
 from labos.core.shares import Usage
 from labos.planning.scheduler import Scheduler
 from labos.planning.touch import every_wait_key
-from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, find_head
+from labos.planning.waiting import PATIENCE, PRIORITY_WEIGHT, WaitingRoom, find_head
 from tests.support.bench import (
     SECOND,
     Driver,
@@ -503,3 +504,37 @@ def test_what_another_run_lacks_keeps_no_run_with_the_same_first_step_waiting() 
     lab.submit(plan(step("cam", exclusive=False), step("dev", consumes("ink", 1.0)), name="dry"))
     lab.submit(plan(step("cam", exclusive=False), step("cam"), name="free"))
     assert lab.pump() == ["R2#0"]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_bundles_of_waiting_runs_are_those_that_a_new_scheduler_makes(seed: int) -> None:
+    rng = random.Random(seed)
+    lab = small()
+    plans = (QUERY, LONG, route("stack", "a", "trash"), route("stack", "b", "a", "trash"))
+    closing = route("a", "trash")
+
+    def check_bundles() -> None:
+        room, expected = lab.scheduler.room, WaitingRoom()
+        expected.fill(lab.state)
+        waiting = {group: room._bundle_of.get(group) for group in lab.state.runs.queue}
+        assert waiting == expected._bundle_of
+        assert room._present == expected._present
+
+    for _ in range(60):
+        flying, experiments = lab.list_flying(), list(lab.state.experiments.open)
+        match rng.randrange(4):
+            case 0:
+                experiment = (
+                    rng.choice(["", *experiments]) if rng.random() < 0.8 else lab.experiment(closing=closing)
+                )
+                lab.ask(
+                    SubmitRun(
+                        rng.choice(plans), rng.choice(["ada", "bob"]), experiment=ExperimentId(experiment)
+                    )
+                )
+            case 1 if experiments and rng.random() < 0.3:
+                lab.ask(EndExperiment(rng.choice(experiments)))
+            case _ if flying:
+                lab.finish(rng.choice(flying))
+        lab.pump()
+        check_bundles()
