@@ -43,9 +43,9 @@ class CheckStart(Protocol):
     ) -> Wait | None: ...
 
 
-class PossibleStart(msgspec.Struct, frozen=True):
-    """A possible start of a waiting run: the run with one of its plans, and its first step. With no
-    ``start``, ``waits`` are the waits of each of its first steps."""
+class FoundStart(msgspec.Struct, frozen=True):
+    """What was found for a waiting run: its ``start``, which is the run with one of its plans, and its first
+    step. Without one, ``waits`` are the waits of each of its first steps."""
 
     start: tuple[RunState, int] | None
     waits: list[Wait]
@@ -102,7 +102,7 @@ class Admission:
                 with self._reservations.forget_afterwards():
                     wait = self._check_start(state, option, step, now, only_asking=True)
                     if wait is None:
-                        possible = PossibleStart((option, step), [])
+                        possible = FoundStart((option, step), [])
                         chosen = self._look_ahead(state, run, possible, now, only_asking=True)
                         waits = chosen if isinstance(chosen, list) else []
                         return [(step, each) for each in waits]
@@ -141,18 +141,18 @@ class Admission:
             return None
         return sorted(found, key=lambda run: run.position)
 
-    def _find_start(self, state: LabState, run: RunState, now: int) -> PossibleStart:
+    def _find_start(self, state: LabState, run: RunState, now: int) -> FoundStart:
         waits: list[Wait] = []
         for option in sort_options(state, run, now):
             for step in self._ranking.behind.sort(state, option.plan, state.runs.plans[option.plan].starts):
                 wait = self._check_start(state, option, step, now)
                 if wait is None:
-                    return PossibleStart((option, step), [])
+                    return FoundStart((option, step), [])
                 waits.append(wait)
-        return PossibleStart(None, waits)
+        return FoundStart(None, waits)
 
     def _look_ahead(
-        self, state: LabState, run: RunState, possible: PossibleStart, now: int, *, only_asking: bool = False
+        self, state: LabState, run: RunState, possible: FoundStart, now: int, *, only_asking: bool = False
     ) -> Candidate | list[Wait]:
         """The run that starts now: this one if it may start, another of equal rank, or none. If none starts,
         what the run waits for."""

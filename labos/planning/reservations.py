@@ -105,11 +105,11 @@ class Reservations:
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
         self._helpers_at: tuple[int, int] | None = None
 
-    def open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
+    def list_open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
         """The reservations whose window is open, the earliest deadline first: those of a workcell, or of all
         workcells if none is named."""
         if not cell:
-            found = [one for name in state.runs.windowed_in for one in self.open(state, now, name)]
+            found = [one for name in state.runs.windowed_in for one in self.list_open(state, now, name)]
             return sorted(found, key=_sort_key)
         if not state.runs.windowed_in.get(cell):
             return []
@@ -124,7 +124,7 @@ class Reservations:
         if run.id not in state.runs.windowed:
             return NEVER
         cell = state.runs.plan_of(run).workcell
-        self.open(state, now, cell)
+        self.list_open(state, now, cell)
         urgent = self._urgent.get(cell, {})
         if step is None:
             return min((at for (name, _), at in urgent.items() if name == run.id), default=NEVER)
@@ -147,7 +147,7 @@ class Reservations:
         planned = self.windows.find_planned_start(state, run, step, now, safety)
         if planned <= now:
             return None
-        reservations = self.open(state, now, state.runs.plan_of(run).workcell)
+        reservations = self.list_open(state, now, state.runs.plan_of(run).workcell)
         asked = AskedStart(state, run, step, now, safety, reservations)
         wait = self._check_reservations(asked) or self._check_in_time(asked)
         wait = wait or self.windows.check_start(state, run, step, now, safety)
