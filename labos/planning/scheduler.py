@@ -26,7 +26,7 @@ from labos.core.ids import (
     InterventionId,
     ModuleName,
     RunId,
-    run_key,
+    find_owning_run,
     workcell_of,
 )
 from labos.core.leaving import will_leave
@@ -74,9 +74,6 @@ from labos.planning.touch import (
 from labos.planning.urgency import is_urgent
 from labos.planning.waiting import PATIENCE, Kind, WaitingRoom
 from labos.planning.window_order import MOST_WAITING, WindowOrders
-
-_OF_RUN = run_key(RunId(""))
-"""The beginning of the keys of runs."""
 
 MOST_BUNDLES = 50
 """The most bundles of a workcell whose plans are read, so that the cost of a decision has a limit."""
@@ -316,8 +313,7 @@ class Scheduler:
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
-            if key.startswith(_OF_RUN):
-                run = RunId(key.removeprefix(_OF_RUN))
+            if run := find_owning_run(key):
                 names.update(dict.fromkeys(self._list_run_steps(state, run), True))
             elif waiting := self.sleepers.find_waiting(key):
                 names |= waiting
