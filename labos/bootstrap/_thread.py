@@ -29,7 +29,7 @@ class LabThread:
     is called when this one is ready to take over.
 
     ``failure`` is set when the kernel cannot continue. Leaving the block closes the lab in an orderly way; a
-    KeyboardInterrupt during this time makes it close faster.
+    KeyboardInterrupt during this time, or ``hurry``, makes it close faster.
     """
 
     def __init__(
@@ -64,6 +64,7 @@ class LabThread:
         self._lab: LabRuntime | None = None
         self._end: asyncio.Event | None = None
         self._leaving: asyncio.Task[None] | None = None
+        self._is_hurried = False
         self._thread = threading.Thread(target=self._main, name="labos-kernel", daemon=True)
 
     @property
@@ -101,6 +102,10 @@ class LabThread:
         if self._error is not None and error is None:
             raise self._error
 
+    def hurry(self) -> None:
+        """Do not wait for actions in progress when the lab is closed; from any thread or signal handler."""
+        self._is_hurried = True
+
     @property
     def left_to_standby(self) -> bool:
         return self._lab is not None and self._lab.left_to_standby
@@ -125,12 +130,16 @@ class LabThread:
         # Not `join`: if it is interrupted, Python 3.11 takes a living thread for an ended one.
         while not self._ended.is_set():
             try:
-                self._call_in_loop(lambda: self._end.set() if self._end is not None else None)
+                self._call_in_loop(self._begin_end)
                 self._ended.wait(0.2)
             except KeyboardInterrupt:
-                supervisor = self._lab.supervised if self._lab is not None else None
-                if supervisor is not None:
-                    self._call_in_loop(supervisor.hurry)
+                self.hurry()
+
+    def _begin_end(self) -> None:
+        if self._end is not None:
+            self._end.set()
+        if self._is_hurried and self._lab is not None and self._lab.supervised is not None:
+            self._lab.supervised.hurry()
 
     def _call_in_loop(self, function: Callable[[], object]) -> None:
         if self._loop is not None:

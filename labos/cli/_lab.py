@@ -6,7 +6,7 @@ import contextlib
 import signal
 import sys
 from base64 import b64decode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,20 +71,29 @@ def check_first(
 
 
 @contextlib.contextmanager
-def end_in_order() -> Iterator[None]:
-    """SIGTERM ends the block in the same way as Ctrl-C."""
+def end_in_order(hurry: Callable[[], None] | None = None) -> Iterator[None]:
+    """SIGTERM ends the block in the same way as Ctrl-C. With ``hurry``, only the first signal raises
+    KeyboardInterrupt; each later one calls ``hurry``. So no signal is lost, wherever the block is."""
     if sys.platform == "win32":
         yield
         return
+    is_ending = False
 
     def interrupt(*_: Any) -> None:
+        nonlocal is_ending
+        if is_ending and hurry is not None:
+            hurry()
+            return
+        is_ending = True
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    numbers = [signal.SIGTERM] if hurry is None else [signal.SIGTERM, signal.SIGINT]
+    before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
@@ -99,7 +108,8 @@ def some_lab(settings: Settings, workcells: Sequence[CompiledWorkcell], url: str
     from labos.bootstrap import LabThread
 
     keep_private()
-    with LabThread(settings, workcells) as lab, LabClient(lab.url) as client:
+    lab = LabThread(settings, workcells)
+    with end_in_order(lab.hurry), lab, LabClient(lab.url) as client:
         yield client
 
 

@@ -68,9 +68,10 @@ def command(speed: float, keep: bool, database: str | None, seed: int, home: str
     click.echo(
         "The modules start. Ada submits two PCR runs, Bo an application that picks a colour. Please wait …"
     )
-    with end_in_order():
+    lab = LabThread(settings, [cell])
+    with end_in_order(lab.hurry):
         try:
-            with LabThread(settings, [cell]) as lab:
+            with lab:
                 try:
                     results, code = _show(lab, settings, seed)
                     _show_account(settings, results)

@@ -205,7 +205,7 @@ def command(
         declare=declare,
         standby=(lambda: _stand_by(settings)) if standby else None,
     )
-    with end_in_order():
+    with end_in_order(lab.hurry):
         try:
             with lab:
                 if standby:

@@ -60,6 +60,8 @@ class Up:
         self.options = options
         self.environment: dict[str, str] = {}
         self.process: subprocess.Popen[bytes] | None = None
+        self.stdout: int | None = None
+        """Where its output goes, instead of ``up.log``."""
 
     def start(self, *workcells: str) -> Up:
         """Start it and wait until it can be talked to. One that does not come so far is killed."""
@@ -83,7 +85,7 @@ class Up:
         with (self.home / "up.log").open("ab") as log:
             self.process = subprocess.Popen(
                 argv,
-                stdout=log,
+                stdout=log if self.stdout is None else self.stdout,
                 stderr=log,
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, **self.environment},

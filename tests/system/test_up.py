@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import socket
@@ -137,6 +138,28 @@ def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
     until(lambda: "for 30 s at most" in lab.read_log(), "it closes")
     assert lab.interrupt() == 0, "in a hurry"
     assert f"sciclops.home of {run} was interrupted: the next start finds out" in lab.read_log()
+
+
+@pytest.mark.slow
+def test_a_second_interrupt_is_not_lost_just_after_the_message(lab: Up) -> None:
+    """The reader of a pipe is faster than the lab that has written to it."""
+    lab.options = ("--simulate", "--speed", "1", "--quiet")
+    lab.stdout = subprocess.PIPE
+    lab.start_with("sciclops", "pf400")
+    (lab.home / "wf.yaml").write_text(HOME)
+    with lab.client() as client:
+        run = client.submit(lab.home / "wf.yaml", user="ada")
+        until(lambda: "action.accepted" in lab.types(), "it moves")
+    assert lab.process is not None
+    assert lab.process.stdout is not None
+    lab.process.send_signal(signal.SIGINT)
+    printed = b""
+    while b"for 30 s at most" not in printed:
+        printed += os.read(lab.process.stdout.fileno(), 4096)
+    lab.process.send_signal(signal.SIGINT)
+    printed += lab.process.communicate(timeout=20)[0]  # less than the 30 s
+    assert lab.process.returncode == 0
+    assert f"sciclops.home of {run} was interrupted: the next start finds out" in printed.decode()
 
 
 def test_a_port_in_use_is_named(lab: Up) -> None:
