@@ -19,7 +19,7 @@ from labos.core.state import LabState
 from labos.core.waits import Wait
 from labos.core.zones import find_zones
 from labos.planning.forecast import list_left
-from labos.planning.sleepers import Sleepers
+from labos.planning.wait_list import WaitList
 from labos.planning.waiting import PATIENCE
 
 NOT_OVERTAKEN = (
@@ -53,17 +53,17 @@ class OvertakeCounts:
         """Whether a run inside was overtaken too often."""
         return len(self._overtaken.get(run, ())) >= PATIENCE
 
-    def count_start(self, state: LabState, run: RunState, step: int, sleepers: Sleepers) -> None:
+    def count_start(self, state: LabState, run: RunState, step: int, wait_list: WaitList) -> None:
         """Count a start for the older runs inside that wait for what it takes. The count of the run that
         starts is reset."""
         plan = state.runs.plan_of(run)
         self._overtaken.pop(run.id, None)
         takes: frozenset[str] | None = None
-        for name in sleepers.list_among(state.runs.in_cell.get(plan.workcell, {})):
+        for name in wait_list.list_among(state.runs.in_cell.get(plan.workcell, {})):
             elder = state.runs.active[RunId(name)]
             if elder.position >= run.position:
                 continue
-            for index in _list_overtakable(sleepers, elder.id):
+            for index in _list_overtakable(wait_list, elder.id):
                 if takes is None:
                     takes = list_keys(state, plan.steps[step])
                 if takes & list_keys(state, state.runs.plan_of(elder).steps[index]):
@@ -93,7 +93,7 @@ class OvertakeCounts:
             found = self._keys[shape] = frozenset(keys)
         return found
 
-    def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_run_that_goes_first(self, state: LabState, run: RunState, wait_list: WaitList) -> RunId | None:
         """The run inside for which this run is not admitted; None if there is none. While nothing moves in
         the workcell, no run is kept out, because the older run may wait for something that this run
         brings."""
@@ -105,7 +105,7 @@ class OvertakeCounts:
         for elder in state.runs.list_inside(plan.workcell):
             if elder.position >= run.position or not self.is_over(elder.id) or find_holds(elder):
                 continue
-            waiting = _list_overtakable(sleepers, elder.id)
+            waiting = _list_overtakable(wait_list, elder.id)
             if not waiting:
                 continue
             mine = mine or self._list_all_keys(state, run)
@@ -118,9 +118,9 @@ class OvertakeCounts:
         return None
 
 
-def _list_overtakable(sleepers: Sleepers, run: RunId) -> list[int]:
+def _list_overtakable(wait_list: WaitList, run: RunId) -> list[int]:
     """The steps of a run that wait for something that other runs have."""
-    return [step for step, waits in sleepers.find_waits(run).items() if any(map(_is_overtakable, waits))]
+    return [step for step, waits in wait_list.find_waits(run).items() if any(map(_is_overtakable, waits))]
 
 
 def _is_overtakable(wait: Wait) -> bool:

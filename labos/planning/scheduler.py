@@ -51,7 +51,6 @@ from labos.planning.pilot import Candidate
 from labos.planning.ranking import Ranking, ReadyStart
 from labos.planning.reservations import Reservations
 from labos.planning.safety import Safety
-from labos.planning.sleepers import Name, Sleepers
 from labos.planning.stuck import find_block, find_questions
 from labos.planning.suggested import Adviser
 from labos.planning.supplies import Spares
@@ -72,6 +71,7 @@ from labos.planning.touch import (
     sort_keys,
 )
 from labos.planning.urgency import is_urgent
+from labos.planning.wait_list import Name, WaitList
 from labos.planning.waiting import PATIENCE, Kind, WaitingRoom
 from labos.planning.window_order import MOST_WAITING, WindowOrders
 
@@ -105,7 +105,7 @@ class Scheduler:
         self.evaluations = 0
         self.refusals = 0
         self.deadlines = Deadlines()
-        self.sleepers = Sleepers()
+        self.wait_list = WaitList()
         self.room = WaitingRoom()
         self.patience = OvertakeCounts()
         self.adviser = Adviser(own, self.window_orders.orders)
@@ -135,15 +135,15 @@ class Scheduler:
         """Propose a step of an active run. If the step has to wait, it sleeps instead."""
         run = start.run
         # It wakes only now: starts of other runs before this check count as overtaking it.
-        self.sleepers.wake((run.id, start.step))
+        self.wait_list.remove((run.id, start.step))
         wait = self.check_start(state, state.runs.active.get(run.id), start.step, now)
         if wait is not None:
-            self.sleepers.sleep((run.id, start.step), wait)
+            self.wait_list.add((run.id, start.step), wait)
             return
         others = find_companions(state, run, start.step, now)
         for each, step in ((run, start.step), *others):
-            self.sleepers.wake((each.id, step))
-            self.patience.count_start(state, each, step, self.sleepers)
+            self.wait_list.remove((each.id, step))
+            self.patience.count_start(state, each, step, self.wait_list)
         yield StepStart(run.id, start.step, others=tuple((each.id, step) for each, step in others))
 
     def check_start(
@@ -211,7 +211,7 @@ class Scheduler:
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
             if early is not None and not self.room.is_overtaken(state, run):
                 return self.adviser.wake_in_time(state, run, step, early, now)
-        inside = self.patience.find_run_that_goes_first(state, run, self.sleepers)
+        inside = self.patience.find_run_that_goes_first(state, run, self.wait_list)
         return Wait(reasons.AfterElder(inside), (near_key(cell),)) if inside is not None else None
 
     def _check_safety(self, state: LabState, run: RunState, step: int, *, only_asking: bool) -> Wait | None:
@@ -259,7 +259,7 @@ class Scheduler:
     def find_next_wake(self) -> int | None:
         """The time at which a wait ends by itself, or a search for an order continues (UTC ns); None if
         there is none."""
-        return find_earliest(self.sleepers.find_first(), self.window_orders.find_next_look())
+        return find_earliest(self.wait_list.find_first(), self.window_orders.find_next_look())
 
     def list_waits(self, state: LabState, run: RunState, now: int) -> list[tuple[int, Wait]]:
         """Why a run does not continue: (step, wait) for each step whose turn it is, and for each failed step
@@ -301,7 +301,7 @@ class Scheduler:
             self.room.refill(state, cell)
         over = named.get(OVER, ())
         for name in [*over, *self.room.take_emptied()]:
-            self.sleepers.forget(name)
+            self.wait_list.forget(name)
         for name in over:
             self.room.forget(RunId(name), self._cells.pop(name, ""))
             self.patience.forget(RunId(name))
@@ -309,13 +309,13 @@ class Scheduler:
         names: dict[Name, bool] = {}
         if cells:
             names.update({(bundle, 0): True for bundle in self.room.follow(state, cells)})
-        names.update(dict.fromkeys(self.sleepers.list_due(now), True))
+        names.update(dict.fromkeys(self.wait_list.list_due(now), True))
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
             if run := find_owning_run(key):
                 names.update(dict.fromkeys(self._list_run_steps(state, run), True))
-            elif waiting := self.sleepers.find_waiting(key):
+            elif waiting := self.wait_list.find_waiting(key):
                 names |= waiting
         if touched.whole:
             active = state.runs.active.values()
@@ -323,7 +323,7 @@ class Scheduler:
             names.update({(bundle, 0): True for bundle in self.room})
         for cell in self._list_cells(state, names) if self.adviser.own.is_used else ():
             if self.admission.find_order(state, cell, now):
-                names |= self.sleepers.find_waiting(cell_key(cell))  # other steps may go first now
+                names |= self.wait_list.find_waiting(cell_key(cell))  # other steps may go first now
         for cell in self._order_windows(state, names, now):
             names |= self._list_all(state, cell)
         return [
@@ -396,7 +396,7 @@ class Scheduler:
         active = state.runs.active.get(RunId(who))
         if active is not None:
             return ReadyStart(active, step)
-        self.sleepers.wake(name)
+        self.wait_list.remove(name)
         if who not in self.room:
             return None
         run = self.room.find_any_run(state, who)
@@ -404,7 +404,7 @@ class Scheduler:
             return None
         waits = self._find_waits_at_start(state, who, run, now)
         for wait in waits:
-            self.sleepers.sleep(name, wait)
+            self.wait_list.add(name, wait)
         first = self.admission.find_first(state, who, now) if not waits else None
         return ReadyStart(first, 0, who) if first is not None else None
 
@@ -453,11 +453,11 @@ class Scheduler:
             chosen = self.admission.choose(state, bundle, run, now)
             if not isinstance(chosen, Candidate):
                 for wait in chosen:
-                    self.sleepers.sleep((bundle, 0), wait)
+                    self.wait_list.add((bundle, 0), wait)
                 return
             option = chosen.run
             self.room.count_admission(state, option, urgent=is_urgent(state, option, now))
-            self.patience.count_start(state, option, chosen.step, self.sleepers)
+            self.patience.count_start(state, option, chosen.step, self.wait_list)
             yield StepStart(option.id, chosen.step, option.plan if option.choices else "")
             if option.id in state.runs.queued:
                 return  # the start was rejected; proposing it again would never end

@@ -51,8 +51,8 @@ from labos.planning.forecast import find_setup_in_progress
 from labos.planning.obstacle import explain_wait
 from labos.planning.own_order import OwnOrder
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
-from labos.planning.sleepers import Name, Sleepers
 from labos.planning.touch import find_touched_keys
+from labos.planning.wait_list import Name, WaitList
 
 MOST_RUNS = 200
 """The most waiting runs that are simulated. If more wait, the first runs of each user are simulated. Also the
@@ -147,7 +147,7 @@ class VirtualLab:
         for name, times in overtaken.items():
             if times and name in state.runs.queued:
                 self._scheduler.room.overtake(state, state.runs.queued[name], times)
-        self._scheduler.sleepers = _ReportingSleepers(self._note_wait)
+        self._scheduler.wait_list = _ReportingWaitList(self._note_wait)
         self._flying: list[tuple[int, int, ActionId]] = []
         self._ends: dict[ActionId, int] = {}
         self._asked: dict[tuple[str, str], bool] = {}
@@ -400,16 +400,16 @@ class VirtualLab:
         return explain_wait(self._scheduler.safety, self.state, run, found)
 
 
-class _ReportingSleepers(Sleepers):
-    """Sleepers that report each new wait to ``hear``."""
+class _ReportingWaitList(WaitList):
+    """A wait list that reports each new wait."""
 
-    def __init__(self, hear: Callable[[Name, Wait], None]) -> None:
+    def __init__(self, report: Callable[[Name, Wait], None]) -> None:
         super().__init__()
-        self._tell = hear
+        self._report = report
 
-    def sleep(self, name: Name, wait: Wait) -> None:
-        super().sleep(name, wait)
-        self._tell(name, wait)
+    def add(self, name: Name, wait: Wait) -> None:
+        super().add(name, wait)
+        self._report(name, wait)
 
 
 def strip_results(plan: Plan) -> Plan:

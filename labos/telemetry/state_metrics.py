@@ -229,7 +229,7 @@ class StateMetrics(MetricGroup):
 
     def _count_waits(self, state: LabState, scheduler: Scheduler) -> None:
         found: Counter[Labels] = Counter(dict.fromkeys(self._seen_waits, 0))
-        for who, wait in scheduler.sleepers.list_all():
+        for who, wait in scheduler.wait_list.list_all():
             run = state.runs.get(who)
             cell = state.runs.plan_of(run).workcell if run is not None else scheduler.room.find_cell(who)
             found[(cell, wait.code)] += 1

@@ -31,7 +31,7 @@ class FastLab(SimulatedLab):
         assert isinstance(clock, VirtualClock)
 
         def look(_: float) -> None:
-            if self.turns and kernel.scheduler.sleepers.find_first() is not None:
+            if self.turns and kernel.scheduler.wait_list.find_first() is not None:
                 self.turns -= 1
                 if not self.turns:
                     clock.set(0.0)

@@ -12,7 +12,7 @@ from labos.core.runs import RunCompleted, RunState, RunSubmitted
 from labos.core.state import LabState
 from labos.planning.patience import OvertakeCounts
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
-from labos.planning.sleepers import Sleepers
+from labos.planning.wait_list import WaitList
 from labos.planning.waiting import PATIENCE
 from labos.testing.faults import QUIET
 from labos.testing.lab import Job, SimulatedLab
@@ -27,7 +27,7 @@ class _Endless(OvertakeCounts):
     def is_over(self, run: RunId) -> bool:
         return False
 
-    def find_run_that_goes_first(self, state: LabState, run: RunState, sleepers: Sleepers) -> RunId | None:
+    def find_run_that_goes_first(self, state: LabState, run: RunState, wait_list: WaitList) -> RunId | None:
         return None
 
 

@@ -120,7 +120,9 @@ def _find_cell(state: LabState, command: Command) -> str:
 # -- approval ------------------------------------------------------------------------------------
 
 
-def list_reasons(state: LabState, asked: Submission, actor: str, experiment: str = "") -> tuple[Why, ...]:
+def list_approval_reasons(
+    state: LabState, asked: Submission, actor: str, experiment: str = ""
+) -> tuple[Why, ...]:
     """Why a submission of ``actor``, to an experiment or to none, waits for an approval; empty if it does
     not. ``leave_out_covered`` leaves out the reasons that do not apply to runs like an approved one."""
     found = tuple(_iterate_reasons(state, asked, actor))

@@ -33,7 +33,7 @@ from labos.core.decide.policy import (
     Submission,
     find_service,
     leave_out_covered,
-    list_reasons,
+    list_approval_reasons,
     refuse_priority,
     sum_demand,
     sum_demand_of_choices,
@@ -188,7 +188,7 @@ def _request_for_run(state: LabState, command: SubmitRun, events: list[Event], a
     event = next(event for event in events if isinstance(event, RunSubmitted))
     demand = sum_demand_of_choices(command.plans)
     asked = Submission(event.user, command.plan.workcell, demand, command.propose)
-    why = list_reasons(state, asked, actor, event.experiment)
+    why = list_approval_reasons(state, asked, actor, event.experiment)
     if not why:
         return []
     pins = {name: value for name, value in event.pins.items() if name != "request"}
@@ -256,7 +256,7 @@ def _decide_row(state: LabState, command: SubmitRow, events: list[Event]) -> lis
     demand = Demand(dangers=dangers, rows=campaign.rows)
     asked = Submission(campaign.user, campaign.workcell, demand, False, campaign.terms)
     parts = _list_table_parts(campaign, campaign.terms)
-    reasons = list_reasons(state, asked, campaign.user)
+    reasons = list_approval_reasons(state, asked, campaign.user)
     why = tuple(reason for reason in reasons if reason.code == "dangerous")
     who, name = campaign.user, campaign.name
     return _request(state, campaign.id, "campaign", name, asked, who, parts, why=why) or events
@@ -291,7 +291,7 @@ def _request(
 ) -> list[Event]:
     """The event that makes a submission wait for an approval; none if it needs none. ``why`` are the reasons
     if they are known already."""
-    why = leave_out_covered(state, list_reasons(state, asked, actor) if why is None else why, parts)
+    why = leave_out_covered(state, list_approval_reasons(state, asked, actor) if why is None else why, parts)
     if not why:
         return []
     past = state.approvals.find_last("campaign" if kind == "amendment" else kind, name)

@@ -77,7 +77,7 @@ def test_who_is_let_in_meanwhile_is_told_for_whom_it_waits() -> None:
     for number in range(PATIENCE):
         lab.scheduler.patience.overtake(old, RunId(f"X{number}"))
     young = lab.submit(YOUNG, user="bob", priority=9)
-    wait = lab.scheduler.patience.find_run_that_goes_first(lab.state, lab.run(young), lab.scheduler.sleepers)
+    wait = lab.scheduler.patience.find_run_that_goes_first(lab.state, lab.run(young), lab.scheduler.wait_list)
     assert wait == old
     beside = lab.submit(plan(step("arm")), user="bob")
     assert lab.scheduler.check_start(lab.state, lab.run(beside), 0, lab.now) is None, (
@@ -131,7 +131,7 @@ def test_nobody_is_kept_out_for_one_that_a_person_has_stopped() -> None:
     young = lab.submit(YOUNG, user="bob")
     lab.pump()
     assert (
-        lab.scheduler.patience.find_run_that_goes_first(lab.state, lab.run(young), lab.scheduler.sleepers)
+        lab.scheduler.patience.find_run_that_goes_first(lab.state, lab.run(young), lab.scheduler.wait_list)
         is None
     )
 

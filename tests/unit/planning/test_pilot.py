@@ -122,7 +122,7 @@ def test_runs_that_carry_nothing_start_without_a_look_ahead() -> None:
 def test_a_bundle_whose_first_run_another_bundle_let_in_waits_for_its_next_run() -> None:
     lab = lab_with(LONG_FIRST, LONG_LAST, LONG_LAST)
     assert lab.pump() == ["R2#0"]
-    waits = [wait for who, wait in lab.scheduler.sleepers.list_all() if who in lab.scheduler.room]
+    waits = [wait for who, wait in lab.scheduler.wait_list.list_all() if who in lab.scheduler.room]
     asked = {wait for _, wait in lab.scheduler.list_waits(lab.state, lab.run("R3"), lab.now)}
     assert len(waits) == 2
     assert waits[-1] in asked, waits

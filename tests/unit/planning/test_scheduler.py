@@ -284,7 +284,7 @@ def test_of_workflows_that_begin_alike_only_that_waits_for_which_there_is_too_li
         lab.submit(plan(step("dev"), step("dev", consumes("tips", tips)), name=name))
     lab.pump()
     assert sequence(lab) == ["R1#1", "R3#0", "R3#1", "R4#0", "R4#1"]
-    found = [wait for _, wait in lab.scheduler.sleepers.list_all()]
+    found = [wait for _, wait in lab.scheduler.wait_list.list_all()]
     assert [wait.code for wait in found] == ["used_up"]
     assert found == [wait for _, wait in lab.scheduler.list_waits(lab.state, lab.run("R2"), lab.now)]
 

@@ -12,9 +12,8 @@ Name = tuple[str, int]
 """A run and one of its steps, or a bundle of runs that wait for admission and 0."""
 
 
-class Sleepers:
-    """The steps and bundles that wait, and what each of them waits for. After ``wake``, one of them waits for
-    nothing any more."""
+class WaitList:
+    """The steps and bundles that wait, and what each of them waits for."""
 
     def __init__(self) -> None:
         self._waits: dict[str, dict[int, list[Wait]]] = {}
@@ -27,7 +26,7 @@ class Sleepers:
         of two numbers: of these runs, or of the waiting ones."""
         return sorted(self._waits.keys() & names.keys())
 
-    def sleep(self, name: Name, wait: Wait) -> None:
+    def add(self, name: Name, wait: Wait) -> None:
         """Add a wait of a step or bundle to those that it has already."""
         who, step = name
         waits = self._waits.setdefault(who, {}).setdefault(step, [])
@@ -37,7 +36,8 @@ class Sleepers:
         if wait.until is not None:
             self._alarms.set(name, min(w.until for w in waits if w.until is not None))
 
-    def wake(self, name: Name) -> None:
+    def remove(self, name: Name) -> None:
+        """Remove all waits of a step or bundle, if it has any."""
         who, step = name
         steps = self._waits.get(who)
         waits = steps.pop(step, None) if steps is not None else None
@@ -56,7 +56,7 @@ class Sleepers:
     def forget(self, who: str) -> None:
         """Forget a run that has ended or a bundle that is empty."""
         for step in list(self._waits.get(who, ())):
-            self.wake((who, step))
+            self.remove((who, step))
 
     def find_waiting(self, key: str) -> dict[Name, bool]:
         """The steps and bundles that wait for a key. The caller must neither change nor keep the dict."""
