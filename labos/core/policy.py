@@ -37,6 +37,11 @@ class Policy(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: int | None = None
     bookings: BookingLimits = BookingLimits()
 
+    @property
+    def depends_on_content(self) -> bool:
+        """Whether an approval may depend on the user, the steps, the amounts or the terms of a submission."""
+        return bool(self.newcomers or self.dangerous or self.deadlines or self.above != Budget())
+
 
 @event("policy.applied")
 class PolicyApplied(Event, frozen=True):

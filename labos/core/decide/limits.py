@@ -27,6 +27,9 @@ from labos.core.texts import (
 BAD_TEXT = "bad_text"
 """The code of a rejection for a text that is too long, or has a form that cannot be recorded."""
 
+_LONGEST = {"note": LONGEST_NOTE, "why": LONGEST_REASON}
+"""The maximum lengths of certain fields; all others have that of names."""
+
 MOST_REPORTED = 1_000
 """The most items of a list in a report; the others are dropped."""
 
@@ -69,7 +72,7 @@ def refuse_misfit(command: Command) -> Rejection | None:
 
 def find_fault(text: str, field: str) -> str:
     """The fault of a text of a request, as a sentence; empty if it has none."""
-    most = {"note": LONGEST_NOTE, "why": LONGEST_REASON}.get(field, LONGEST_NAME)
+    most = _LONGEST.get(field, LONGEST_NAME)
     if len(text) > most:
         return f"The field {field!r} has {len(text)} characters; {most} are allowed."
     if (CONTROL_IN_NOTE if field == "note" else CONTROL).search(text):

@@ -126,10 +126,24 @@ def list_approval_reasons(
     """Why a submission of ``actor``, to an experiment or to none, waits for an approval; empty if it does
     not. ``leave_out_covered`` leaves out the reasons that do not apply to runs like an approved one."""
     found = tuple(_iterate_reasons(state, asked, actor))
-    known = state.experiments.open.get(ExperimentId(experiment)) if experiment else None
-    if known is not None and known.held:
+    if _is_held(state, experiment):
         found = (*found, Why("experiment", f"its experiment {experiment} waits for an approval"))
     return found
+
+
+def may_need_approval(state: LabState, actor: str, experiment: str, *, propose: bool) -> bool:
+    """Whether a submission of ``actor`` may need an approval. If not, its content makes no difference."""
+    return (
+        propose
+        or state.approvals.policy.depends_on_content
+        or bool(find_service(state, actor))
+        or _is_held(state, experiment)
+    )
+
+
+def _is_held(state: LabState, experiment: str) -> bool:
+    known = state.experiments.open.get(ExperimentId(experiment)) if experiment else None
+    return known is not None and known.held
 
 
 def leave_out_covered(state: LabState, why: tuple[Why, ...], parts: dict[str, str]) -> tuple[Why, ...]:

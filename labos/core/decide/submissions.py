@@ -34,6 +34,7 @@ from labos.core.decide.policy import (
     find_service,
     leave_out_covered,
     list_approval_reasons,
+    may_need_approval,
     refuse_priority,
     sum_demand,
     sum_demand_of_choices,
@@ -186,6 +187,8 @@ def _check_policy_actor(state: LabState, actor: str) -> Rejection | None:
 
 def _request_for_run(state: LabState, command: SubmitRun, events: list[Event], actor: str) -> list[Event]:
     event = next(event for event in events if isinstance(event, RunSubmitted))
+    if not may_need_approval(state, actor, event.experiment, propose=command.propose):
+        return []
     demand = sum_demand_of_choices(command.plans)
     asked = Submission(event.user, command.plan.workcell, demand, command.propose)
     why = list_approval_reasons(state, asked, actor, event.experiment)
