@@ -55,19 +55,25 @@ async def keep_connected(
     check_s: float,
 ) -> None:
     """Check the connection for as long as the session is open. ``is_router_open`` returns None if that is not
-    known."""
-    check, logged = ConnectionCheck(), False
+    known. An unexpected error does not end the checks."""
+    check, logged, failed = ConnectionCheck(), False, False
     while True:
         await asyncio.sleep(check_s)
-        found = await is_router_open()
-        if found is None:
-            check.note_uncertain()
-        elif found:
-            check.note_seen()
-            logged = False
-        elif check.note_missed():
-            if not logged:
-                why = "the bus at the other end was closed, or it does not accept this certificate (yet)"
-                _log.warning("bus_connects_again", why=why)
-            logged = True
-            await reopen()
+        try:
+            found = await is_router_open()
+            if found is None:
+                check.note_uncertain()
+            elif found:
+                check.note_seen()
+                logged = False
+            elif check.note_missed():
+                if not logged:
+                    why = "the bus at the other end was closed, or it does not accept this certificate (yet)"
+                    _log.warning("bus_connects_again", why=why)
+                logged = True
+                await reopen()
+            failed = False
+        except Exception:
+            if not failed:  # once, not at every check
+                _log.exception("bus_check_failed")
+            failed = True

@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from labos.bus import Security, ZenohBus, open_bus
-from labos.bus._connection import MISSED, MOST_MISSED, ConnectionCheck
+from labos.bus._connection import MISSED, MOST_MISSED, ConnectionCheck, keep_connected
 from labos.bus._opening import config_of
 from labos.errors import NoAnswer
 from labos.node.protocol import ANY_KERNEL, Keys
@@ -41,6 +41,27 @@ def test_checks_count_only_in_turn() -> None:
         assert not any(check.note_missed() for _ in range(MISSED - 1))
         note()
     assert not any(check.note_missed() for _ in range(MISSED - 1))
+
+
+def test_the_checks_go_on_after_an_unexpected_error() -> None:
+    found: list[bool | Exception] = [RuntimeError("a fault"), *[False] * MISSED]
+    reopened = asyncio.Event()
+
+    async def is_router_open() -> bool:
+        now = found.pop(0) if found else True
+        if isinstance(now, Exception):
+            raise now
+        return now
+
+    async def reopen() -> None:
+        reopened.set()
+
+    async def main() -> None:
+        checking = asyncio.create_task(keep_connected(is_router_open, reopen, 0.001))
+        await asyncio.wait_for(reopened.wait(), 10)
+        checking.cancel()
+
+    asyncio.run(main())
 
 
 def test_a_client_leaves_a_router_that_was_closed() -> None:
