@@ -260,6 +260,11 @@ def test_another_device(port: Path) -> None:
         run(at_port(Tecan, "tecan", port).connect)
 
 
+def test_an_end_before_the_start_is_no_measurement() -> None:
+    assert protocol.list_wavelengths(500, 499.5, 1) == []
+    assert protocol.list_wavelengths(500, 500, 1) == [500.0]
+
+
 def test_numbers_of_another_wavelength(reader: TecanOnWire, world: World, port: Path) -> None:
     world.stock("tecan.default", "plate96")
     said = reader._numbers

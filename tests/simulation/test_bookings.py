@@ -30,6 +30,9 @@ from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import mix, pcr, stand
 from tests.support.bench import SECOND, Driver, move, plan, sets, small_cell, step, take, workcell
 
+pytestmark = pytest.mark.timeout(300)
+"""These tests compute for half a minute; on a busy computer they take several times as long."""
+
 MINUTE, DAY = 60 * SECOND, 86_400 * SECOND
 GROUPS = {"ada": "chemistry", "bo": "chemistry", "cy": "", "di": ""}
 MODULES = ("dev", "cam", "arm", "arm2")

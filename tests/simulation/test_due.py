@@ -17,6 +17,9 @@ from labos.testing.loop import BASE_NS
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import make_hurried, mix, pcr, stand
 
+pytestmark = pytest.mark.timeout(300)
+"""These tests compute for half a minute; on a busy computer they take several times as long."""
+
 HOUR_NS = 3600 * 10**9
 FIVE_DAYS_S = 5 * 24 * 3600.0
 

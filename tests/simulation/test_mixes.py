@@ -23,6 +23,9 @@ from labos.testing.loop import Stalled
 from tests.simulation.invariants import fold_again
 from tests.simulation.mixes import identical, make_generated, mix, pcr, stand
 
+pytestmark = pytest.mark.timeout(300)
+"""These tests compute for half a minute; on a busy computer they take several times as long."""
+
 CI_SEEDS = range(5)
 ALL_SEEDS = range(200)
 FIVE_DAYS_S = 5 * 24 * 3600.0

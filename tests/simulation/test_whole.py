@@ -21,6 +21,9 @@ from tests.simulation.invariants import fold_again
 from tests.simulation.stops import causes
 from tests.simulation.whole import FITS, MORTAL, cancels, mix, stand
 
+pytestmark = pytest.mark.timeout(300)
+"""These tests compute for half a minute; on a busy computer they take several times as long."""
+
 CI_SEEDS = (0, 6, 8, 13, 19, 183)
 """Quiet and stormy, with modules that die, come back or do not."""
 ALL_SEEDS = range(500)

@@ -22,6 +22,9 @@ from labos.testing.lab import Job, SimulatedLab
 from tests.simulation.mixes import make_dosed_and_read, make_hurried, stand
 from tests.support.seeds import few_and_many
 
+pytestmark = pytest.mark.timeout(300)
+"""These tests compute for half a minute; on a busy computer they take several times as long."""
+
 KEPT = (RunFailed.TYPE, InterventionRequested.TYPE)
 TWO_DAYS_S = 2 * 24 * 3600.0
 

@@ -105,7 +105,7 @@ class TecanDriver(Wired):
                     spectra[wavelength] = self._read_spectrum(wavelength, grid)
             if self._detect_plate() is False:
                 raise DeviceError(
-                    f"{self.name}: the plate is no longer on the carrier; some spectra are not of its wells.",
+                    f"{self.name}: the plate is no longer on the carrier; a part was measured without it.",
                     effects="unknown",
                     remedy="Look where it is, and measure again.",
                 )

@@ -79,7 +79,9 @@ def frame(text: str) -> bytes:
 
 
 def list_wavelengths(start_nm: float, end_nm: float, step_nm: float) -> list[float]:
-    """From start to end in nm, rounded to a tenth. Empty if the end is more than a step before the start."""
+    """From start to end in nm, rounded to a tenth. Empty if the end lies before the start."""
+    if end_nm < start_nm:
+        return []
     count = int((end_nm - start_nm) / step_nm + 1e-9) + 1
     return [round(start_nm + number * step_nm, 1) for number in range(count)]
 

@@ -146,7 +146,6 @@ def own_certificate(folder: Path) -> dict[str, str]:
 
 @pytest.mark.slow
 def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_signals, "CONNECT_S", 1.5)
     server = SecuredServer("opcua", tmp_path / "server", free_port())
     (password := tmp_path / "password").write_text("secret of the lab\n")
     try:
@@ -175,6 +174,7 @@ def test_an_encrypted_server_lets_the_right_user_in(tmp_path: Path, monkeypatch:
         async def not_encrypted(node: Any) -> None:
             assert "here is no answer for" in await node.trouble()
 
+        monkeypatch.setattr(_signals, "CONNECT_S", 1.5)  # it waits for all of this time
         with_node(server.port, not_encrypted)
     finally:
         server.kill()
