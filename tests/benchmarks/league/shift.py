@@ -2,7 +2,8 @@
 tests.benchmarks.league.shift`` (needs the extra ``plan``).
 
 Three people submit PCR, colour picker and growth assays as the day goes on; a plate of growth has to be read
-soon after it was pipetted. In the middle of the day somebody comes with an urgent PCR. Durations stray.
+soon after it was pipetted. In the middle of the day somebody comes with an urgent PCR. Durations stray. The
+lab has the settings of a new one: it looks for an order of its own.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from labos.core.decide.runs import SubmitRun
 from labos.core.ids import RunId, StationName
 from labos.planner.planner import Planner
 from labos.planner.solve import solve
+from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.spec import compile_workflow, parse_workflow
 from tests.benchmarks.figures import machine
 from tests.benchmarks.league.cases import RPL_STOCK, with_durations
@@ -93,15 +95,22 @@ def works(seed: int) -> list[Work]:
     return [*found, Work((urgent,), after_s=HOUR_S * 3.7)]
 
 
-def play(seed: int, seconds: float) -> Result:
+def play(seed: int, seconds: float, *, by_age: bool = False) -> Result:
     """Play a shift with a planner that may look for so many seconds each time, counted by work done; without
-    one if that is 0."""
+    one if that is 0. With ``by_age``, the lab looks for no order of its own."""
     done = works(seed)
-    planned = Planner(seconds=seconds, solver=partial(solve, counted=True)) if seconds else None
-    stock = {**RPL_STOCK, StationName("rpl/sciclops.tower3"): ("plate96", 20)}
-    outcome = Player(CELL.workcell, stock, jitter=JITTER, seed=seed, planner=planned, together=False).play(
-        done
-    )
+    planned = None
+    if seconds:
+        planned = Planner(seconds=seconds, solver=partial(solve, counted=True), searches=not by_age)
+    outcome = Player(
+        CELL.workcell,
+        {**RPL_STOCK, StationName("rpl/sciclops.tower3"): ("plate96", 20)},
+        Scheduler if by_age else make_searching_scheduler,
+        jitter=JITTER,
+        seed=seed,
+        planner=planned,
+        together=False,
+    ).play(done)
     submitted = dict(_list_submitted(outcome, done))
     ends = _ends(outcome)
     waits = {run: start - submitted[run] for run, start in _find_starts(outcome).items()}
@@ -156,11 +165,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.league.shift", description=__doc__)
     parser.add_argument("--seeds", type=int, default=SEEDS, help="how many shifts are played")
     parser.add_argument("--seconds", type=float, default=1.0, help="how long the planner may look each time")
+    by_age = "the lab looks for no order of its own, as with LABOS_ORDER=age"
+    parser.add_argument("--by-age", action="store_true", help=by_age)
     options = parser.parse_args(arguments)
     print("| " + " | ".join(HEADINGS) + " |\n|" + " --- |" * len(HEADINGS))
     for seed in range(options.seeds):
         for seconds in (0.0, options.seconds):
-            r = play(seed, seconds)
+            r = play(seed, seconds, by_age=options.by_age)
             cells = (
                 str(seed),
                 "planner" if seconds else "online",
