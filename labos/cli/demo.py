@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from labos.bootstrap import LabThread
     from labos.client import RunResult
 
+APPLICATION_END_S = 10.0
+"""How long the application may take to end after a Ctrl-C."""
+
 SPEED = 400.0
 """Two PCRs take four hours of lab time, one after the other in the same thermocycler."""
 
@@ -109,7 +112,11 @@ def _show(lab: LabThread, settings: Settings, seed: int) -> tuple[list[RunResult
         finally:
             if application.poll() is None:
                 application.terminate()
-                application.wait()
+                try:
+                    application.wait(APPLICATION_END_S)
+                except subprocess.TimeoutExpired:
+                    application.kill()
+                    application.wait()
         return results, code
 
 

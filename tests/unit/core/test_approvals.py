@@ -2,8 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import product
+
+from labos.core.campaigns import Budget
 from labos.core.decide.cancelling import CancelRun
 from labos.core.decide.interventions import ResolveIntervention
+from labos.core.decide.policy import (
+    Submission,
+    list_approval_reasons,
+    may_need_approval,
+    sum_demand_of_choices,
+)
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.submissions import ApplyPolicy
 from labos.core.decide.users import AddUser, GrantRole
@@ -109,3 +118,32 @@ def test_users_are_not_needed_for_it() -> None:
     lab.do(GrantRole("user:bo", "operator"))
     lab.do(answer(lab, run, "bo"), "bo")
     assert lab.code(run) == ""
+
+
+def test_where_no_approval_may_be_needed_there_is_no_reason_for_one() -> None:
+    """Each field of a policy that can ask for an approval, alone and with the others; all kinds of users."""
+    lab, found = make_peopled(), 0
+    work = make_burning()
+    demand = sum_demand_of_choices([work])
+    fields = (
+        {"programs": False},
+        {"newcomers": 1},
+        {"dangerous": True},
+        {"above": Budget(lab_time_s=0.001)},
+        {"deadlines": True},
+        {"own": True},
+    )
+    for chosen in product((False, True), repeat=len(fields)):
+        given = {
+            name: value
+            for use, each in zip(chosen, fields, strict=True)
+            for name, value in each.items()
+            if use
+        }
+        lab.do(ApplyPolicy(str(chosen), Policy(**given)))
+        for actor, propose in product(("ada", "olga", "robot", on_behalf("robot", "ada")), (False, True)):
+            asked = Submission("ada", work.workcell, demand, propose)
+            reasons = list_approval_reasons(lab.state, asked, actor)
+            found += bool(reasons)
+            assert may_need_approval(lab.state, actor, "", propose=propose) or not reasons, (given, actor)
+    assert found > 100
