@@ -73,7 +73,8 @@ def check_first(
 @contextlib.contextmanager
 def end_in_order(hurry: Callable[[], None] | None = None) -> Iterator[None]:
     """SIGTERM ends the block in the same way as Ctrl-C. With ``hurry``, only the first signal raises
-    KeyboardInterrupt; each later one calls ``hurry``. So no signal is lost, wherever the block is."""
+    KeyboardInterrupt; each later one calls ``hurry``. So no signal is lost, wherever the block is. A Ctrl-C
+    that is ignored, as in the background of a script, stays ignored."""
     if sys.platform == "win32":
         yield
         return
@@ -87,7 +88,9 @@ def end_in_order(hurry: Callable[[], None] | None = None) -> Iterator[None]:
         is_ending = True
         raise KeyboardInterrupt
 
-    numbers = [signal.SIGTERM] if hurry is None else [signal.SIGTERM, signal.SIGINT]
+    numbers = [signal.SIGTERM]
+    if hurry is not None and signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        numbers.append(signal.SIGINT)
     before = {number: signal.signal(number, interrupt) for number in numbers}
     try:
         yield

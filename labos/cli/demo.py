@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from labos.client import RunResult
 
 APPLICATION_END_S = 10.0
-"""How long the application may take to end after a Ctrl-C."""
+"""How long the application may take to end after a Ctrl-C (seconds)."""
 
 SPEED = 400.0
 """Two PCRs take four hours of lab time, one after the other in the same thermocycler."""

@@ -1,7 +1,8 @@
 """The scheduler: proposes which steps start now, in a fair order. It checks only where something has changed.
 
-A step that cannot start sleeps on the keys whose change may end its wait. Queued runs that wait for the same
-things sleep together, in bundles (see ``waiting``). So the cost of a decision does not grow with the queue.
+A step that cannot start waits for the keys whose change may end its wait (see ``wait_list``). Queued runs
+that wait for the same things wait together, in bundles (see ``waiting``). So the cost of a decision does not
+grow with the queue.
 
 The scheduler can compute again from the state what it keeps, with three exceptions: the orders that it has
 found, the counts of overtakings, and since when steps wait for an order. They decide which step goes first.
@@ -132,9 +133,9 @@ class Scheduler:
                 yield from self._start_step(state, start, now)
 
     def _start_step(self, state: LabState, start: ReadyStart, now: int) -> Iterator[StepStart]:
-        """Propose a step of an active run. If the step has to wait, it sleeps instead."""
+        """Propose a step of an active run. If the step has to wait, its wait is listed instead."""
         run = start.run
-        # It wakes only now: starts of other runs before this check count as overtaking it.
+        # Its wait is removed only now: starts of other runs before this check count as overtaking it.
         self.wait_list.remove((run.id, start.step))
         wait = self.check_start(state, state.runs.active.get(run.id), start.step, now)
         if wait is not None:
@@ -391,7 +392,7 @@ class Scheduler:
 
     def _look_again(self, state: LabState, name: tuple[str, int], now: int) -> ReadyStart | None:
         """What to check for a name: the step of an active run, or the first run of a bundle. None if the
-        bundle is gone, or if it has to wait by the rules. A bundle that has to wait sleeps again at once."""
+        bundle is gone, or if it has to wait by the rules. The wait of a bundle is listed again at once."""
         who, step = name
         active = state.runs.active.get(RunId(who))
         if active is not None:

@@ -31,6 +31,15 @@ def lab(tmp_path: Path) -> Iterator[Up]:
     up.clean_up()
 
 
+def begin_home(lab: Up) -> str:
+    """Submit a run whose only step moves for 30 s, and wait until it moves; returns the run's id."""
+    (lab.home / "wf.yaml").write_text(HOME)
+    with lab.client() as client:
+        run = client.submit(lab.home / "wf.yaml", user="ada")
+        until(lambda: "action.accepted" in lab.types(), "it moves")
+    return run
+
+
 def make_cycling(lab: Up) -> bool:
     """Whether the thermocycler was told to run its programme."""
     return any(
@@ -129,10 +138,7 @@ def test_a_second_kernel_from_another_folder_leaves_nothing_there(lab: Up, tmp_p
 def test_what_is_cut_short_by_closing_is_said(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "1")
     lab.start_with("sciclops", "pf400")
-    (lab.home / "wf.yaml").write_text(HOME)
-    with lab.client() as client:
-        run = client.submit(lab.home / "wf.yaml", user="ada")
-        until(lambda: "action.accepted" in lab.types(), "it moves")
+    run = begin_home(lab)
     assert lab.process is not None
     lab.process.send_signal(signal.SIGINT)
     until(lambda: "for 30 s at most" in lab.read_log(), "it closes")
@@ -146,10 +152,7 @@ def test_a_second_interrupt_is_not_lost_just_after_the_message(lab: Up) -> None:
     lab.options = ("--simulate", "--speed", "1", "--quiet")
     lab.stdout = subprocess.PIPE
     lab.start_with("sciclops", "pf400")
-    (lab.home / "wf.yaml").write_text(HOME)
-    with lab.client() as client:
-        run = client.submit(lab.home / "wf.yaml", user="ada")
-        until(lambda: "action.accepted" in lab.types(), "it moves")
+    run = begin_home(lab)
     assert lab.process is not None
     assert lab.process.stdout is not None
     lab.process.send_signal(signal.SIGINT)

@@ -30,3 +30,16 @@ def test_without_a_hurry_every_signal_interrupts() -> None:
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGTERM):
             with pytest.raises(KeyboardInterrupt):
                 os.kill(os.getpid(), number)
+
+
+def test_a_lab_in_the_background_of_a_script_is_not_ended_by_its_ctrl_c() -> None:
+    """A shell ignores Ctrl-C for what it starts with `&`."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    hurried: list[int] = []
+    try:
+        with end_in_order(lambda: hurried.append(1)):
+            os.kill(os.getpid(), signal.SIGINT)
+            assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert hurried == []

@@ -133,6 +133,8 @@ def test_where_no_approval_may_be_needed_there_is_no_reason_for_one() -> None:
         {"deadlines": True},
         {"own": True},
     )
+    others = {"trusted", "erasure", "priority", "bookings"}  # these never ask for an approval
+    assert {*others, *(name for each in fields for name in each)} == {*Policy.__struct_fields__}
     for chosen in product((False, True), repeat=len(fields)):
         given = {
             name: value
