@@ -10,7 +10,7 @@ so are doors and setpoints. No rule of safety depends on this timetable.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 
 import msgspec
 
@@ -18,24 +18,27 @@ import msgspec
 class Leg(msgspec.Struct, frozen=True, gc=False):
     """A step of a chain. ``takes`` are the numbers of the resources that it takes while it lasts; ``holds``
     are those that the run holds during the step and during the wait before it. ``length`` is its duration;
-    ``least`` and ``most`` limit the wait before it (slots; None: no limit)."""
+    ``least`` and ``most`` limit the wait before it (slots; None: no limit). The step may end so
+    many slots too ``early``: a window does not let the next leg wait for its planned start (0: never)."""
 
     takes: tuple[int, ...]
     holds: tuple[int, ...]
     length: int
     least: int = 0
     most: int | None = None
+    early: int = 0
 
 
 class Chain(msgspec.Struct, frozen=True, gc=False):
     """The remaining steps of a run. ``begins`` is the slot in which the step under way ends, if the run has
-    started (else None). ``takes`` are the resources that this step takes until then. ``keeps`` are the
-    resources that the run holds after its end."""
+    started (else None). ``takes`` are the resources that this step takes until then, and ``early`` is as for
+    a leg. ``keeps`` are the resources that the run holds after its end."""
 
     legs: tuple[Leg, ...]
     begins: int | None = None
     takes: tuple[int, ...] = ()
     keeps: tuple[int, ...] = ()
+    early: int = 0
 
 
 class Fit(msgspec.Struct, frozen=True, gc=False):
@@ -48,21 +51,41 @@ class Fit(msgspec.Struct, frozen=True, gc=False):
 
 
 class SlotTable:
-    """In which of the ``slots`` each resource is taken."""
+    """In which of the ``slots`` each resource is ``taken``, and in which it may be ``wanted`` because a step
+    ends early."""
 
     def __init__(self, resources: int, slots: int) -> None:
         self.slots = slots
         self.full = (1 << slots) - 1
         self.taken = [0] * resources
+        self.wanted = [0] * resources
 
     def copy(self) -> SlotTable:
         other = SlotTable.__new__(SlotTable)
-        other.slots, other.full, other.taken = self.slots, self.full, list(self.taken)
+        other.slots, other.full = self.slots, self.full
+        other.taken, other.wanted = list(self.taken), list(self.wanted)
         return other
 
-    def mark(self, marks: Iterable[tuple[int, int, int]]) -> None:
-        for resource, begin, end in marks:
+    def mark(self, chain: Chain, fit: Fit) -> None:
+        """Take the slots of a chain."""
+        for resource, begin, end in fit.marks:
             self.taken[resource] |= (1 << end) - (1 << begin)
+        for resources, span in _list_early(chain, fit):
+            for resource in resources:
+                self.wanted[resource] |= span
+
+    def count_conflicts(self, chain: Chain, fit: Fit) -> int:
+        """How often one of the chains may find a resource taken if a step ends early, once this chain has
+        its place."""
+        taken, wanted = self.taken, self.wanted
+        found = sum(
+            any(taken[resource] & span for resource in resources)
+            for resources, span in _list_early(chain, fit)
+        )
+        for resource, begin, end in fit.marks:
+            if wanted[resource] and wanted[resource] & ((1 << end) - (1 << begin)):
+                found += 1
+        return found
 
     def fit(self, chain: Chain) -> Fit | None:
         """The place of a chain with its earliest end, and with waits as short as this end allows; None if the
@@ -119,6 +142,18 @@ class SlotTable:
             marks += [(resource, 0, chain.begins) for resource in (*chain.takes, *first)]
         marks += [(resource, end, self.slots) for resource in chain.keeps if end < self.slots]
         return Fit(tuple(reversed(starts)), end, tuple(marks))
+
+
+def _list_early(chain: Chain, fit: Fit) -> Iterator[tuple[tuple[int, ...], int]]:
+    """The resources that a leg takes, with the slots in which it may want them before its planned start."""
+    legs = chain.legs
+    if chain.early and chain.begins:
+        end = chain.begins
+        yield legs[0].takes, (1 << end) - (1 << max(0, end - chain.early))
+    for number, leg in enumerate(legs):
+        if leg.early:
+            end = fit.starts[number] + leg.length
+            yield legs[number + 1].takes, (1 << end) - (1 << max(0, end - leg.early))
 
 
 def _find_stretches(free: int, length: int) -> int:

@@ -260,6 +260,50 @@ def find_deadline(
     )
 
 
+def find_soonest_start(state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int) -> int:
+    """When a step would start if its run waited for nothing else (UTC ns), by usual durations. ``ends`` are
+    the expected ends of the run's steps in flight."""
+    plan, known = state.runs.plan_of(run), dict(ends)
+    at = now
+    for step in find_pending_before(run, plan, index):
+        before = max((known[b] for b in plan.steps[step].after if b in known), default=now)
+        at = max(now, before, find_earliest_start(state, run, step, known))
+        known[step] = at + find_usual_time(state, plan.steps[step])
+    return at
+
+
+def find_excess(state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int) -> int:
+    """By how much a step misses its window even if its run waits for nothing else (ns), because the steps
+    within the window take longer. With several windows, the least counts. ``ends`` are the expected ends of
+    the run's steps in flight."""
+    plan = state.runs.plan_of(run)
+    found: list[int] = []
+    for window in plan.steps[index].windows:
+        if window.within_s is not None and window.anchor is not None and not window.of:
+            limit = convert_lab_s(state, window.within_s)
+            if is_pending(run, window.anchor):
+                found.append(_find_shortest_gap(state, run, window.anchor, index) - limit)
+    for window, ended in _list_clocks(state, run, index, ends):
+        if window.within_s is not None:
+            due = ended + convert_lab_s(state, window.within_s)
+            found.append(find_soonest_start(state, run, index, ends, now) - due)
+    return max(0, min(found, default=0))
+
+
+def _find_shortest_gap(state: LabState, run: RunState, first: int, last: int) -> int:
+    """The shortest time between the end of a pending step and the start of a later one (ns), by usual
+    durations."""
+    plan = state.runs.plan_of(run)
+    ends = {first: 0}
+    gap = 0
+    for step in find_pending_before(run, plan, last):
+        before = [ends[b] for b in plan.steps[step].after if b in ends]
+        if before:
+            gap = max(before)
+            ends[step] = gap + find_usual_time(state, plan.steps[step])
+    return gap
+
+
 def _list_clocks(
     state: LabState, run: RunState, index: int, known: Mapping[int, int]
 ) -> Iterator[tuple[Window, int]]:

@@ -1,8 +1,8 @@
 """Suggested orders that are followed exactly.
 
-A suggested order is rehearsed once to its end, with every run that it names. If all windows are kept, each
-step may start at its suggested time while all goes as suggested. All goes as suggested if each step has
-started at its time, and no step in flight is late. Then no further rehearsals are necessary.
+A suggested order is rehearsed once to its end, with every run that it names. If all windows are kept that
+can be kept, each step may start at its suggested time while all goes as suggested. All goes as suggested if
+each step has started at its time, and no step in flight is late. Then no further rehearsals are necessary.
 """
 
 from __future__ import annotations
@@ -13,24 +13,20 @@ from types import MappingProxyType
 import msgspec
 
 from labos.core.ids import RunId
-from labos.core.model import MAIN
 from labos.core.rules import convert_lab_s
 from labos.core.runs import find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_setup_in_progress, find_usual_time, is_pending
-from labos.planning.player import Player, Step
-from labos.planning.rehearsal import Advice, play
+from labos.planning.forecast import find_setup_in_progress, find_soonest_start, find_usual_time
+from labos.planning.player import Step
+from labos.planning.retiming import EXACT_S, list_missed, rehearse
 from labos.planning.scene import Scene
 from labos.planning.suggested import bring_forward, find_order, find_suggested_times
 
-EXACT_S = 0.01
-"""The largest delay of a start or an end that still counts as suggested (lab seconds)."""
-
 
 class _Rehearsed(msgspec.Struct):
-    """An order, its runs, and whether it keeps all windows (None: not rehearsed yet). False also if none of
-    its runs has windows."""
+    """An order, its runs, and whether it keeps all windows that can be kept (None: not rehearsed yet). False
+    also if none of its runs has windows."""
 
     order: OrderSuggested
     runs: frozenset[RunId]
@@ -45,8 +41,8 @@ class PunctualOrders:
         self._known: dict[str, _Rehearsed] = {}
 
     def find_starts(self, state: LabState, cell: str, now: int) -> dict[Step, int] | None:
-        """When each pending step of an order starts (UTC ns), if the order keeps all windows and all goes as
-        suggested. None if not, if there is no order, or if none of its runs has windows."""
+        """When each pending step of an order starts (UTC ns), if the order keeps all windows that can be kept
+        and all goes as suggested. None if not, if there is no order, or if none of its runs has windows."""
         if not state.suggestions.orders and not self._own:
             return None
         order = find_order(state, self._own, cell, now)
@@ -78,7 +74,10 @@ def _goes_as_suggested(
     late = now - slack
     if min(times.values()) < late or any(run.id not in runs for run in state.runs.list_inside(cell)):
         return False
-    if any(times[who] > at + slack for who, at in bring_forward(state, times, now).items()):
+    if any(
+        times[who] > at + slack and times[who] > _find_soonest(state, cell, *who, now) + slack
+        for who, at in bring_forward(state, times, now).items()
+    ):
         return False  # a step ended early, and the clock that it started runs out before
     if any(find_holds(run) or run.is_ending for run in map(state.runs.get, runs) if run is not None):
         return False
@@ -92,20 +91,19 @@ def _goes_as_suggested(
     return True
 
 
+def _find_soonest(state: LabState, cell: str, name: RunId, step: int, now: int) -> int:
+    """When a step of a run inside would start if it waited for nothing else (UTC ns)."""
+    ends = Scene(state, cell, now).list_ends().get(str(name), {})
+    return find_soonest_start(state, state.runs.active[name], step, ends, now)
+
+
 def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
-    """Whether every step of these runs starts at its time and no window is missed, in a rehearsal of them
-    all. False also if a step that is left has no time."""
-    scene = Scene(state, cell, now)
-    ends = scene.list_ends()
-    players: list[Player] = []
-    for name in dict.fromkeys(run for run, _ in starts):
-        run = state.runs.get(RunId(name))
-        assert run is not None
-        steps = state.runs.plan_of(run).steps
-        left = [i for i, step in enumerate(steps) if step.part == MAIN and is_pending(run, i)]
-        if any((name, index) not in starts for index in left):
-            return False
-        players.append(Player(state, run, ends.get(name, {}), free=True, first=left))
-    outcome = play(scene, players, Advice(not_before=starts))
+    """Whether every step of these runs starts at its time, and no window is missed that can be kept, in a
+    rehearsal of them all. False also if a step that is left has no time."""
+    rehearsed = rehearse(state, cell, starts, now)
+    if rehearsed is None:
+        return False
+    result, ends = rehearsed
     slack = convert_lab_s(state, EXACT_S)
-    return not outcome.late and all(at <= starts[who] + slack for who, at in outcome.starts.items())
+    is_punctual = all(at <= starts[who] + slack for who, at in result.starts.items())
+    return is_punctual and not list_missed(state, result, ends, now)

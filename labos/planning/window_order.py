@@ -25,9 +25,10 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.chains import Fit, SlotTable
+from labos.planning.chains import Chain, Fit, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Ways
+from labos.planning.retiming import correct_times
 from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
 OWN_WINDOWS = "labos, windows"
@@ -69,15 +70,22 @@ CYCLE = 1500
 WEIGHT_OF_MEAN = 0.1
 """The weight of the mean of all ends in the value of an order. The last end has the weight 1."""
 
+RISK_S = 30.0
+"""An order counts as so much longer (lab seconds) for each step that may find a module or place taken if the
+step before it ends early, and may then miss its window."""
+
+LATE = 50
+"""A run inside that misses a window whose clock runs counts as this many waiting runs that do not fit in."""
+
 LOST = 1000
-"""A run inside that does not fit in counts as this many waiting runs."""
+"""A run inside that does not fit in at all counts as this many waiting runs."""
 
 PUNCTUAL_S = 5.0
 """The most (lab seconds) that a step may be behind its time in an order that still counts."""
 
 Value = tuple[int, float]
 """The value of an order; less is better. First, the number of runs that do not fit in or are overtaken too
-often. Then the last end, with the mean of all ends (slots)."""
+often. Then the last end, with the mean of all ends and the risk of missed windows (slots)."""
 
 
 class CellSearch(msgspec.Struct):
@@ -176,16 +184,16 @@ class WindowOrders:
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
         known, order = search.members, self.orders.get(cell)
         tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
+        statuses = tuple(tuple(run.statuses) for run in inside)
         if known == members:
-            if order is None or search.looked == now:
+            if search.looked == now or (order is None and search.statuses == statuses):
                 return False
-            if not is_waited_for and not _is_on_time(state, order, now):
+            if order is not None and not is_waited_for and not _is_on_time(state, order, now):
                 # Only once for each progress of the runs inside: the rules do not let the late runs start, so
                 # the next order does not wait for them again.
-                seen = tuple(tuple(run.statuses) for run in inside)
-                if search.seen == seen:
+                if search.seen == statuses:
                     return False
-                search.seen = seen
+                search.seen = statuses
                 late.update(dict.fromkeys(_list_late(state, order, now), True))
                 waiting = [run for run in waiting if run.id not in late]
                 members = (members[0], tuple(run.id for run in waiting))
@@ -196,13 +204,13 @@ class WindowOrders:
         come = {*members[1]} - {*(known[1] if known is not None else ())}
         search.tried = max(0, search.tried - ENOUGH_EACH * len(come))
         search.members, search.looked, before = members, now, search.line
+        is_same = known == members and search.statuses == statuses
+        search.statuses = statuses
         found = self._search(state, cell, inside, waiting, overtakings, now, tries, seed=now)
         if found is None:
             search.line = None
             return self.orders.pop(cell, None) is not None
-        statuses = tuple(tuple(run.statuses) for run in inside)
-        is_same = known == members and search.line == before and search.statuses == statuses
-        search.statuses = statuses
+        is_same = is_same and search.line == before
         is_over = is_waited_for and not search.goes_on
         if not is_over and is_same and order is not None and _is_on_time(state, order, now):
             return False  # nothing has changed, and no better order was found
@@ -256,7 +264,7 @@ class WindowOrders:
         found = self._searches[cell]
         known = [name for name in found.line or () if name in layout.members]
         new = [name for name in layout.members if name not in known]
-        search = _Search(layout, seed)
+        search = _Search(layout, seed, convert_lab_s(state, RISK_S))
         by_work = sorted(
             layout.members, key=lambda n: (not layout.members[n].run.has_started, -search.work(n))
         )
@@ -271,27 +279,43 @@ class WindowOrders:
         if best is None:
             return None
         found.line, found.last = best.line, here
-        fits = zip(best.line, best.fits, strict=True)
-        return _suggest(state, cell, layout, {name: fit for name, fit in fits if fit is not None})
+        fits = {
+            name: place.fit
+            for name, place in zip(best.line, best.places, strict=True)
+            if place.fit is not None
+        }
+        order = _suggest(state, cell, layout, fits)
+        return correct_times(state, order, now)
 
 
-class TriedOrder(msgspec.Struct):
-    """One order of the runs, how each of them fits in, and the timetable after each of them."""
+class Place(msgspec.Struct, frozen=True):
+    """How a run of an order fits in (None: it does not), and the timetable with it and all runs before it.
+    ``conflicts`` and ``late`` count for all of them: conflicts (see ``SlotTable``), and runs inside that miss
+    a window whose clock runs."""
+
+    fit: Fit | None
+    table: SlotTable
+    conflicts: int = 0
+    late: int = 0
+
+
+class TriedOrder(msgspec.Struct, frozen=True):
+    """One order of the runs, with the place of each of them."""
 
     line: list[RunId]
-    fits: list[Fit | None]
-    tables: list[SlotTable]
+    places: list[Place]
     value: Value
 
 
 class _Search:
-    """A search that tries orders of the runs of a layout."""
+    """A search that tries orders of the runs of a layout. ``risk`` is the weight of a conflict (ns)."""
 
-    def __init__(self, layout: PlannedCell, seed: int) -> None:
+    def __init__(self, layout: PlannedCell, seed: int, risk: int) -> None:
         self.layout = layout
         self.tries = 0
         self._draws = _Draws(seed)
         self._waiting = [n for n, member in layout.members.items() if not member.run.has_started]
+        self._risk = risk / layout.slot
 
     def work(self, name: RunId) -> int:
         """The sum of the durations of the steps that a run has left (slots)."""
@@ -339,22 +363,18 @@ class _Search:
         if like is not None:
             while line[same] == like.line[same]:
                 same += 1
-        tables = like.tables[:same] if like is not None else []
-        fits = like.fits[:same] if like is not None else []
-        table = tables[-1] if tables else self.layout.table
+        places = like.places[:same] if like is not None else []
+        last = places[-1] if places else Place(None, self.layout.table)
         for name in line[same:]:
-            fit = table.fit(self.layout.members[name].chain)
-            fits.append(fit)
-            if fit is not None:
-                table = table.copy()
-                table.mark(fit.marks)
-            tables.append(table)
-        return TriedOrder(line, fits, tables, self._value(line, fits))
+            last = find_place(last, self.layout.members[name].chain)
+            places.append(last)
+        return TriedOrder(line, places, self._value(line, places))
 
-    def _value(self, line: list[RunId], fits: list[Fit | None]) -> Value:
+    def _value(self, line: list[RunId], places: list[Place]) -> Value:
         members = self.layout.members
+        fits = [place.fit for place in places]
         ends = [fit.end for fit in fits if fit is not None]
-        out = sum(
+        out = LATE * places[-1].late + sum(
             LOST if members[name].run.has_started else 1
             for name, fit in zip(line, fits, strict=True)
             if fit is None
@@ -370,7 +390,25 @@ class _Search:
             if begin is not None:
                 out += sum(other < begin for other in younger) > members[name].limit
                 younger.append(begin)
-        return out, max(ends, default=0) + WEIGHT_OF_MEAN * sum(ends) / max(1, len(ends))
+        mean = sum(ends) / max(1, len(ends))
+        return out, max(ends, default=0) + WEIGHT_OF_MEAN * mean + self._risk * places[-1].conflicts
+
+
+def find_place(last: Place, chain: Chain) -> Place:
+    """The place of a chain behind the ``last`` one. If a run inside cannot keep its window, it waits as long
+    as it has to."""
+    table, late = last.table, last.late
+    fit = table.fit(chain)
+    if fit is None and chain.begins is not None and chain.legs:
+        first = msgspec.structs.replace(chain.legs[0], most=None)
+        chain = msgspec.structs.replace(chain, legs=(first, *chain.legs[1:]))
+        fit, late = table.fit(chain), late + 1
+    if fit is None:
+        return Place(None, table, last.conflicts, late)
+    conflicts = last.conflicts + table.count_conflicts(chain, fit)
+    table = table.copy()
+    table.mark(chain, fit)
+    return Place(fit, table, conflicts, late)
 
 
 class _Draws:

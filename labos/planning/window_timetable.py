@@ -14,7 +14,7 @@ import msgspec
 from labos.core.actions import Action, ActionStatus
 from labos.core.effects import Carrying, Consumes, Needs
 from labos.core.ids import RunId, deck_key, run_owner
-from labos.core.model import MAIN, Plan
+from labos.core.model import MAIN, Plan, PlanStep
 from labos.core.rules import convert_lab_s
 from labos.core.runs import IN_FLIGHT, PENDING, SETTLED, RunState, RunStatus, find_anchor, find_holds
 from labos.core.state import LabState
@@ -214,7 +214,27 @@ def _make_member(
         )
         _carry(held, task, is_over=True)
     keeps = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
-    return PlannedRun(run, first, line, Chain(tuple(legs), begins, in_progress, keeps), end)
+    early = 0
+    if begins and legs:
+        early = _find_early(state, plan.steps[line.steps[first - 1]], legs[0].most, slot)
+    legs = _add_early(state, [plan.steps[index] for index in line.steps[first:]], legs, slot)
+    return PlannedRun(run, first, line, Chain(tuple(legs), begins, in_progress, keeps, early), end)
+
+
+def _add_early(state: LabState, steps: Sequence[PlanStep], legs: Sequence[Leg], slot: int) -> list[Leg]:
+    """The legs of steps, each with how much too early it may end."""
+    most = [*(leg.most for leg in legs[1:]), None]
+    return [
+        msgspec.structs.replace(leg, early=_find_early(state, step, limit, slot))
+        for step, leg, limit in zip(steps, legs, most, strict=False)
+    ]
+
+
+def _find_early(state: LabState, step: PlanStep, most: int | None, slot: int) -> int:
+    """How much earlier than usual a step may end, less the ``most`` that the next step may wait (slots). 0 if
+    that may wait without a limit, or while too few durations of the step are known."""
+    known = state.lengths.estimate(step, state.lab.pace) if most is not None else None
+    return 0 if known is None or most is None else _count_slots(known.usual - known.low - most * slot, slot)
 
 
 def _carry(held: dict[int, int], task: Task, *, is_over: bool) -> None:

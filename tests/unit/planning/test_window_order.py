@@ -7,11 +7,21 @@ import re
 from msgspec.structs import replace
 
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.runs import PauseRun, ResumeRun
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
+from labos.planning.chains import Chain, Fit, Leg, SlotTable
 from labos.planning.scheduler import make_searching_scheduler
-from labos.planning.window_order import ENOUGH_EACH, LONGEST_SEARCH_NS, MOST_WAITING, TRIES_EACH, TRIES_NEW
+from labos.planning.window_order import (
+    ENOUGH_EACH,
+    LONGEST_SEARCH_NS,
+    MOST_WAITING,
+    TRIES_EACH,
+    TRIES_NEW,
+    Place,
+    find_place,
+)
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import CELL, LONG_FIRST, lab_with, way
 
@@ -148,6 +158,51 @@ def test_a_window_that_is_shorter_than_its_move_leaves_the_others_their_order() 
     lab = lab_with(too_short, TO_OVEN, FROM_LATHE)
     lab.pump()
     assert {step.run for step in orders_of(lab)["cell"].steps} == {"R1", "R2", "R3"}
+
+
+def test_an_order_that_was_lost_is_searched_again_after_the_next_step() -> None:
+    lab = lab_with(TO_LATHE, TO_OVEN, FROM_LATHE)
+    lab.pump()
+    assert "cell" in orders_of(lab)
+    lab.do(PauseRun(RunId("R1"), "ada"))
+    lab.wait(10.0)
+    lab.finish(lab.list_flying()[0])
+    lab.pump()
+    assert not orders_of(lab), "nobody knows when the first one goes on"
+    lab.do(ResumeRun(RunId("R1")))
+    lab.pump()
+    lab.wait(10.0)
+    lab.finish(lab.list_flying()[0])
+    lab.pump()
+    assert "cell" in orders_of(lab)
+
+
+def test_a_run_that_cannot_keep_its_window_waits_as_long_as_it_has_to() -> None:
+    table = SlotTable(2, 20)
+    table.mark(Chain(()), Fit((), 0, ((0, 2, 6),)))
+    chain = Chain((Leg((0,), (1,), 3, 0, 1), Leg((), (), 2, 0, 0)), begins=2)
+    place = find_place(Place(None, table), chain)
+    assert place.fit is not None
+    assert place.fit.starts == (6, 9)
+    assert place.late == 1
+    early = find_place(Place(None, SlotTable(2, 20)), chain)
+    assert early.fit is not None
+    assert (early.fit.starts, early.late) == ((2, 5), 0)
+    queued = find_place(place, Chain((Leg((1,), (), 25),)))
+    assert (queued.fit, queued.table, queued.late) == (None, place.table, 1)
+
+
+def test_a_plate_of_nobody_that_is_in_the_way_of_all_leaves_an_order_without_steps() -> None:
+    lab = Driver(CELL)
+    lab.scheduler = make_searching_scheduler()
+    lab.stock("stack", 80)
+    lab.stock("oven.nest", 1)
+    for each in (TO_OVEN, FROM_LATHE):
+        lab.submit(each)
+    assert lab.pump() == []
+    assert [order.steps for order in orders_of(lab).values()] == [()]
+    (_, wait), *_ = lab.scheduler.list_waits(lab.state, lab.run("R1"), lab.now)
+    assert "could not reach its end at present" in wait.reason.sentence
 
 
 def searching_lab_with(*plans: Plan, pace: float = 1.0) -> Driver:
