@@ -18,8 +18,8 @@ import msgspec
 class Leg(msgspec.Struct, frozen=True, gc=False):
     """A step of a chain. ``takes`` are the numbers of the resources that it takes while it lasts; ``holds``
     are those that the run holds during the step and during the wait before it. ``length`` is its duration;
-    ``least`` and ``most`` limit the wait before it (slots; None: no limit). The step may end so
-    many slots too ``early``: a window does not let the next leg wait for its planned start (0: never)."""
+    ``least`` and ``most`` limit the wait before it (slots; None: no limit). ``early``: by how many
+    slots the step may end too early. Then its window does not let the next leg wait for its planned start."""
 
     takes: tuple[int, ...]
     holds: tuple[int, ...]

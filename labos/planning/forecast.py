@@ -260,7 +260,7 @@ def find_deadline(
     )
 
 
-def find_soonest_start(state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int) -> int:
+def find_start_alone(state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int) -> int:
     """When a step would start if its run waited for nothing else (UTC ns), by usual durations. ``ends`` are
     the expected ends of the run's steps in flight."""
     plan, known = state.runs.plan_of(run), dict(ends)
@@ -272,7 +272,9 @@ def find_soonest_start(state: LabState, run: RunState, index: int, ends: Mapping
     return at
 
 
-def find_excess(state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int) -> int:
+def find_unavoidable_delay(
+    state: LabState, run: RunState, index: int, ends: Mapping[int, int], now: int
+) -> int:
     """By how much a step misses its window even if its run waits for nothing else (ns), because the steps
     within the window take longer. With several windows, the least counts. ``ends`` are the expected ends of
     the run's steps in flight."""
@@ -286,7 +288,7 @@ def find_excess(state: LabState, run: RunState, index: int, ends: Mapping[int, i
     for window, ended in _list_clocks(state, run, index, ends):
         if window.within_s is not None:
             due = ended + convert_lab_s(state, window.within_s)
-            found.append(find_soonest_start(state, run, index, ends, now) - due)
+            found.append(find_start_alone(state, run, index, ends, now) - due)
     return max(0, min(found, default=0))
 
 

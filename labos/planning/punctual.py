@@ -17,9 +17,9 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_setup_in_progress, find_soonest_start, find_usual_time
+from labos.planning.forecast import find_setup_in_progress, find_start_alone, find_usual_time
 from labos.planning.player import Step
-from labos.planning.retiming import EXACT_S, list_missed, rehearse
+from labos.planning.retiming import EXACT_S, list_avoidable_misses, rehearse
 from labos.planning.scene import Scene
 from labos.planning.suggested import bring_forward, find_order, find_suggested_times
 
@@ -75,7 +75,7 @@ def _goes_as_suggested(
     if min(times.values()) < late or any(run.id not in runs for run in state.runs.list_inside(cell)):
         return False
     if any(
-        times[who] > at + slack and times[who] > _find_soonest(state, cell, *who, now) + slack
+        times[who] > at + slack and times[who] > _find_start_alone(state, cell, *who, now) + slack
         for who, at in bring_forward(state, times, now).items()
     ):
         return False  # a step ended early, and the clock that it started runs out before
@@ -91,10 +91,10 @@ def _goes_as_suggested(
     return True
 
 
-def _find_soonest(state: LabState, cell: str, name: RunId, step: int, now: int) -> int:
+def _find_start_alone(state: LabState, cell: str, name: RunId, step: int, now: int) -> int:
     """When a step of a run inside would start if it waited for nothing else (UTC ns)."""
     ends = Scene(state, cell, now).list_ends().get(str(name), {})
-    return find_soonest_start(state, state.runs.active[name], step, ends, now)
+    return find_start_alone(state, state.runs.active[name], step, ends, now)
 
 
 def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int) -> bool:
@@ -106,4 +106,4 @@ def _keeps_windows(state: LabState, cell: str, starts: dict[Step, int], now: int
     result, ends = rehearsed
     slack = convert_lab_s(state, EXACT_S)
     is_punctual = all(at <= starts[who] + slack for who, at in result.starts.items())
-    return is_punctual and not list_missed(state, result, ends, now)
+    return is_punctual and not list_avoidable_misses(state, result, ends, now)

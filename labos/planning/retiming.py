@@ -20,7 +20,7 @@ from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_excess, is_pending
+from labos.planning.forecast import find_unavoidable_delay, is_pending
 from labos.planning.player import FAR, Player, Step
 from labos.planning.rehearsal import Advice, RehearsalResult, play
 from labos.planning.scene import Scene
@@ -54,14 +54,14 @@ def rehearse(
     return play(scene, players, Advice(not_before={**starts})), ends
 
 
-def list_missed(state: LabState, result: RehearsalResult, ends: Ends, now: int) -> dict[Step, int]:
+def list_avoidable_misses(state: LabState, result: RehearsalResult, ends: Ends, now: int) -> dict[Step, int]:
     """The steps that miss their window in a rehearsal although this can be avoided, and by how much (ns)."""
     slack = convert_lab_s(state, EXACT_S)
     found: dict[Step, int] = {}
     for (name, step), late in result.late.items():
-        excess = find_excess(state, _find_run(state, name), step, ends.get(name, {}), now)
-        if late > excess + slack:
-            found[name, step] = late - excess
+        surely = find_unavoidable_delay(state, _find_run(state, name), step, ends.get(name, {}), now)
+        if late > surely + slack:
+            found[name, step] = late - surely
     return found
 
 
@@ -75,7 +75,7 @@ def correct_times(state: LabState, order: OrderSuggested, now: int) -> OrderSugg
             return order
         result, ends = rehearsed
         starts = {who: max(at, result.starts.get(who, at)) for who, at in starts.items()}
-        missed = list_missed(state, result, ends, now)
+        missed = list_avoidable_misses(state, result, ends, now)
         if not missed:
             return _set_times(order, starts)
         if not _put_off_clocks(state, starts, missed):
@@ -99,6 +99,7 @@ def _put_off_clocks(state: LabState, starts: dict[Step, int], missed: Mapping[St
 
 
 def _set_times(order: OrderSuggested, starts: Mapping[Step, int]) -> OrderSuggested:
+    """The order with other times of its steps. If it ends later, it is valid for longer."""
     steps = [
         msgspec.structs.replace(one, start=starts.get((str(one.run), one.step), one.start))
         for one in order.steps

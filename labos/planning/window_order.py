@@ -4,8 +4,8 @@ Where clocks run, a run that starts a little earlier or later may delay others f
 the runs inside and the first waiting runs in a timetable (``chains``). It tries many orders of these runs. In
 each order, every run in turn gets the earliest end that the runs before it leave. The order with the soonest
 end of all is kept, and the next search begins with it. It is followed like a planner's suggestion
-(``suggested``): all rules are checked, and a start counts as planned only if all windows are kept in a
-rehearsal.
+(``suggested``): all rules are checked, and a start counts as planned only if no window is missed needlessly
+in a rehearsal.
 
 There is no such order while a planner's order is in force, or if all runs have the same plan. There is none
 either if a run has no windows, uses doors, setpoints or holds, or has steps that do not follow one another.
@@ -280,15 +280,13 @@ class WindowOrders:
             return None
         found.line, found.last = best.line, here
         fits = {
-            name: place.fit
-            for name, place in zip(best.line, best.places, strict=True)
-            if place.fit is not None
+            name: run.fit for name, run in zip(best.line, best.fitted, strict=True) if run.fit is not None
         }
         order = _suggest(state, cell, layout, fits)
         return correct_times(state, order, now)
 
 
-class Place(msgspec.Struct, frozen=True):
+class FittedRun(msgspec.Struct, frozen=True):
     """How a run of an order fits in (None: it does not), and the timetable with it and all runs before it.
     ``conflicts`` and ``late`` count for all of them: conflicts (see ``SlotTable``), and runs inside that miss
     a window whose clock runs."""
@@ -300,10 +298,10 @@ class Place(msgspec.Struct, frozen=True):
 
 
 class TriedOrder(msgspec.Struct, frozen=True):
-    """One order of the runs, with the place of each of them."""
+    """One order of the runs, and how each of them fits in."""
 
     line: list[RunId]
-    places: list[Place]
+    fitted: list[FittedRun]
     value: Value
 
 
@@ -363,18 +361,18 @@ class _Search:
         if like is not None:
             while line[same] == like.line[same]:
                 same += 1
-        places = like.places[:same] if like is not None else []
-        last = places[-1] if places else Place(None, self.layout.table)
+        fitted = like.fitted[:same] if like is not None else []
+        last = fitted[-1] if fitted else FittedRun(None, self.layout.table)
         for name in line[same:]:
-            last = find_place(last, self.layout.members[name].chain)
-            places.append(last)
-        return TriedOrder(line, places, self._value(line, places))
+            last = fit_behind(last, self.layout.members[name].chain)
+            fitted.append(last)
+        return TriedOrder(line, fitted, self._value(line, fitted))
 
-    def _value(self, line: list[RunId], places: list[Place]) -> Value:
+    def _value(self, line: list[RunId], fitted: list[FittedRun]) -> Value:
         members = self.layout.members
-        fits = [place.fit for place in places]
+        fits = [run.fit for run in fitted]
         ends = [fit.end for fit in fits if fit is not None]
-        out = LATE * places[-1].late + sum(
+        out = LATE * fitted[-1].late + sum(
             LOST if members[name].run.has_started else 1
             for name, fit in zip(line, fits, strict=True)
             if fit is None
@@ -391,12 +389,12 @@ class _Search:
                 out += sum(other < begin for other in younger) > members[name].limit
                 younger.append(begin)
         mean = sum(ends) / max(1, len(ends))
-        return out, max(ends, default=0) + WEIGHT_OF_MEAN * mean + self._risk * places[-1].conflicts
+        return out, max(ends, default=0) + WEIGHT_OF_MEAN * mean + self._risk * fitted[-1].conflicts
 
 
-def find_place(last: Place, chain: Chain) -> Place:
-    """The place of a chain behind the ``last`` one. If a run inside cannot keep its window, it waits as long
-    as it has to."""
+def fit_behind(last: FittedRun, chain: Chain) -> FittedRun:
+    """How the chain of a run fits in behind the ``last`` run. If a run inside cannot keep its window, it
+    waits as long as it has to."""
     table, late = last.table, last.late
     fit = table.fit(chain)
     if fit is None and chain.begins is not None and chain.legs:
@@ -404,11 +402,11 @@ def find_place(last: Place, chain: Chain) -> Place:
         chain = msgspec.structs.replace(chain, legs=(first, *chain.legs[1:]))
         fit, late = table.fit(chain), late + 1
     if fit is None:
-        return Place(None, table, last.conflicts, late)
+        return FittedRun(None, table, last.conflicts, late)
     conflicts = last.conflicts + table.count_conflicts(chain, fit)
     table = table.copy()
     table.mark(chain, fit)
-    return Place(fit, table, conflicts, late)
+    return FittedRun(fit, table, conflicts, late)
 
 
 class _Draws:

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from labos.core.ids import RunId
 from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
-from labos.planning.forecast import find_excess
+from labos.planning.forecast import find_unavoidable_delay
 from labos.planning.punctual import PunctualOrders
 from labos.planning.retiming import correct_times
 from tests.support.bench import SECOND, Driver
@@ -129,7 +129,7 @@ def test_the_excess_is_what_the_steps_within_take_too_long(within_s: float, exce
             index: action.requested_at + int(steps[index].duration_s * SECOND)
             for index, action in flying.items()
         }
-        return find_excess(lab.state, lab.run(run), 3, ends, lab.now) / SECOND
+        return find_unavoidable_delay(lab.state, lab.run(run), 3, ends, lab.now) / SECOND
 
     assert excess() == excess_s, "before the run starts"
     lab.finish(lab.start(run, 0))

@@ -19,8 +19,8 @@ from labos.planning.window_order import (
     MOST_WAITING,
     TRIES_EACH,
     TRIES_NEW,
-    Place,
-    find_place,
+    FittedRun,
+    fit_behind,
 )
 from tests.support.bench import Driver
 from tests.unit.planning.test_pilot import CELL, LONG_FIRST, lab_with, way
@@ -181,15 +181,15 @@ def test_a_run_that_cannot_keep_its_window_waits_as_long_as_it_has_to() -> None:
     table = SlotTable(2, 20)
     table.mark(Chain(()), Fit((), 0, ((0, 2, 6),)))
     chain = Chain((Leg((0,), (1,), 3, 0, 1), Leg((), (), 2, 0, 0)), begins=2)
-    place = find_place(Place(None, table), chain)
-    assert place.fit is not None
-    assert place.fit.starts == (6, 9)
-    assert place.late == 1
-    early = find_place(Place(None, SlotTable(2, 20)), chain)
+    first = fit_behind(FittedRun(None, table), chain)
+    assert first.fit is not None
+    assert first.fit.starts == (6, 9)
+    assert first.late == 1
+    early = fit_behind(FittedRun(None, SlotTable(2, 20)), chain)
     assert early.fit is not None
     assert (early.fit.starts, early.late) == ((2, 5), 0)
-    queued = find_place(place, Chain((Leg((1,), (), 25),)))
-    assert (queued.fit, queued.table, queued.late) == (None, place.table, 1)
+    queued = fit_behind(first, Chain((Leg((1,), (), 25),)))
+    assert (queued.fit, queued.table, queued.late) == (None, first.table, 1)
 
 
 def test_a_plate_of_nobody_that_is_in_the_way_of_all_leaves_an_order_without_steps() -> None:
