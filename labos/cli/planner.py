@@ -34,8 +34,7 @@ LOST_PAUSE_S = 5.0
     type=click.FloatRange(0.1, 600),
     default=5.0,
     show_default=True,
-    help="How long to search for an order each time. For runs with windows, another search of up to about "
-    "5 s comes before it.",
+    help="How long to search for an order each time. For runs with windows, a search takes up to about 5 s.",
 )
 @click.option(
     "--quantile",
@@ -123,15 +122,19 @@ def _suggest(
     from labos.planner.watch import list_waiting
 
     waiting = list_waiting(state, cell)
-    if not watch.is_due(state, cell, waiting, now_ns()):
+    now = now_ns()
+    if not watch.is_due(state, cell, waiting, now) and not planner.is_due(state, cell, waiting, now):
         return False
     order = planner.suggest(state, cell, waiting, now_ns())
     watch.note(state, cell, waiting, order, now_ns())
     if order is None:
         return True
     steps = [msgspec.to_builtins(one) for one in order.steps]
-    taken = client.suggest_order(cell, steps, order.until, order.position, by=asker)
-    if not steps:
+    line = [str(run) for run in order.line]
+    taken = client.suggest_order(cell, steps, order.until, order.position, line=line, by=asker)
+    if line:
+        click.echo(f"{cell}: an order of {len(line)} runs. The lab's own search begins with it.")
+    elif not steps:
         click.echo(f"{cell}: the last order is withdrawn. The lab is at least as good without it.")
     elif all(one.outside for one in order.steps):
         click.echo(f"{cell}: {taken} runs wait outside, so that they do not block others.")

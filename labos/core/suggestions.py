@@ -26,12 +26,14 @@ class Suggested(msgspec.Struct, frozen=True, forbid_unknown_fields=True, gc=Fals
 @event("order.suggested")
 class OrderSuggested(Event, frozen=True):
     """A planner suggests an order for starting ``steps`` of a workcell, the earliest first. It replaces the
-    previous suggestion and is valid until ``until`` (UTC ns)."""
+    previous suggestion and is valid until ``until`` (UTC ns). ``line``: in place of steps, an order of runs
+    with which the lab's own search for an order begins, if the runs have windows."""
 
     workcell: str
     by: str
     until: int
     steps: tuple[Suggested, ...]
+    line: tuple[RunId, ...] = ()
 
     def stream(self) -> str:
         return f"order:{self.workcell}"
@@ -46,6 +48,11 @@ class Suggestions(msgspec.Struct):
         """The suggestion that is valid now (UTC ns); None if it was withdrawn or is over."""
         order = self.orders.get(cell)
         return order if order is not None and order.steps and order.until > now else None
+
+    def find_line(self, cell: str, now: int) -> tuple[RunId, ...]:
+        """The order of runs that is suggested for the lab's own search; empty if there is none now."""
+        order = self.orders.get(cell)
+        return order.line if order is not None and order.until > now else ()
 
 
 def fold_suggested(suggestions: Suggestions, event: OrderSuggested, at: int) -> None:

@@ -216,11 +216,20 @@ class OrderSuggestion(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     steps: Annotated[
         list[SuggestedStep],
         msgspec.Meta(
-            max_length=MOST_STEPS, description="the steps, in any order; none: withdraw the suggestion"
+            max_length=MOST_STEPS,
+            description="the steps, in any order; neither steps nor a line: withdraw the suggestion",
         ),
     ]
     until: Annotated[Time, says("the time until which it is valid (UTC ns)")]
     position: Annotated[Time, says("the position of the log from which it was computed")] = 0
+    line: Annotated[
+        list[Name],
+        msgspec.Meta(
+            max_length=MOST_STEPS,
+            description="in place of steps, for runs with windows: an order of runs with which the lab's "
+            "own search for an order begins",
+        ),
+    ] = []
     by: Asker = ""
 
 

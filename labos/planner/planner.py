@@ -1,12 +1,14 @@
 """Suggests an order for each workcell in turn.
 
-An order is suggested only if a rehearsal of the lab ends better with it than without any order, and better
-than with the previous suggestion.
+Where the lab has an order of its own because of windows, the planner suggests a better one to begin with
+(``windows``). Otherwise, it suggests when each step starts, but only if a rehearsal of the lab ends better
+with this order than without any order, and better than with the previous suggestion.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 
 from msgspec.structs import replace
 
@@ -21,9 +23,8 @@ from labos.planner.overtakings import Overtakings
 from labos.planner.problem import SchedulingProblem, add_next, choose_runs, problem_of
 from labos.planner.rehearsal import DRAWN, OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
+from labos.planner.windows import WindowSearch
 from labos.planning.suggested import GRACE_S
-from labos.planning.waiting import PATIENCE
-from labos.planning.window_order import WindowOrders
 
 Solver = Callable[[SchedulingProblem, float, dict[int, float]], Schedule | None]
 
@@ -31,8 +32,8 @@ STAYS_GOOD_S = 3600.0
 """A suggestion is valid for at most so long after its last start (lab seconds)."""
 
 MOST_TRIES = 15_000
-"""So many orders are tried in a timetable where clocks run, and fewer if a search has less than a second:
-about five seconds of processor time for 16 runs."""
+"""The most orders of runs with windows that one search tries; fewer if a search has less than a second. They
+take about five seconds of processor time for 16 runs."""
 
 LEAST_OUTSIDE_S = 600.0
 """A run waits outside if it would otherwise stand where it comes in for so long (lab seconds), in the way of
@@ -62,13 +63,21 @@ class Planner:
         self.end_weight = end_weight
         self._solve = solver
         self._overtaken: dict[str, Overtakings] = {}
+        self._windows = WindowSearch(name, int(MOST_TRIES * min(1.0, seconds)), level)
+
+    def is_due(self, state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> bool:
+        """Whether the order of runs with windows that was suggested last has become worse, so that a new
+        search is worthwhile. This takes some ten milliseconds, so ask often."""
+        waiting = list(waiting)
+        counts = self._overtaken.setdefault(cell, Overtakings()).count(state, cell, waiting)
+        return self._windows.is_due(state, cell, waiting, partial(_count, counts), now)
 
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
     ) -> SuggestOrder | None:
         """The suggested order for a workcell; None if there is nothing to order, or if the present order is
-        as good. An order without steps withdraws the previous suggestion. ``waiting`` are the waiting runs,
-        in the order in which they would start."""
+        as good. An order without steps and without a line withdraws the previous suggestion. ``waiting`` are
+        the waiting runs, in the order in which they would start."""
         waiting = list(waiting)
         runs = choose_runs(state, cell, waiting)
         problem = replace(problem_of(state, runs, now, self.level), end_weight=self.end_weight)
@@ -77,6 +86,12 @@ class Planner:
         problem = replace(problem, overtaken=overtaken)
         if _is_one_line(problem):
             return None
+        windowed = self._windows.search(state, cell, waiting, partial(_count, counts), now)
+        begin = None
+        if windowed is not None and not self.exact:
+            begin = self._windows.suggest_line(state, windowed, now)
+            if not _has_ranks(problem):
+                return begin  # the lab itself compares it with its own order
         rehearsed, drawn = add_next(runs, waiting), 0 if self.exact else DRAWN
         rehearsal = OrderRehearsal(
             state,
@@ -96,10 +111,11 @@ class Planner:
             best = without if rehearsal.is_better(without, before) else before
         if rehearsal.may_be_better(_list_ends(state, problem, now, _list_earliest_starts(problem)), best):
             better: SuggestOrder | None = None
-            is_whole = len(rehearsed) == len(runs)  # while more runs follow, the lab's own order goes on
-            found = self._search_timetable(state, cell, runs, counts, now) if is_whole else None
-            if found is not None and rehearsal.is_better(way := rehearsal.go(found), best):
-                better, best = found, way
+            if windowed is not None and self.exact and len(rehearsed) == len(runs):
+                # While more runs follow, the lab's own order has to go on.
+                begin = self._windows.suggest_steps(state, windowed)
+            if begin is not None and rehearsal.is_better(way := rehearsal.go(begin), best):
+                better, best = begin, way
             found = self._search(state, cell, problem, now, rehearsal, best)
             if found is not None and rehearsal.is_better(rehearsal.go(found), best):
                 better = found
@@ -115,18 +131,6 @@ class Planner:
             if rehearsal.is_as_good(rehearsal.go(waits), without):
                 return waits
         return SuggestOrder(cell, self.name, now, (), state.position) if present is not None else None
-
-    def _search_timetable(
-        self, state: LabState, cell: str, runs: Sequence[RunState], counts: Mapping[RunId, int], now: int
-    ) -> SuggestOrder | None:
-        """The lab's own order where clocks run, with more tries than the kernel has time for."""
-        tries = int(MOST_TRIES * min(1.0, self.seconds))
-        orders = WindowOrders(PATIENCE)
-        found = orders.search_longer(state, cell, runs, lambda run: counts.get(run, 0), now, tries)
-        if found is None:
-            return None
-        until = found.until + convert_lab_s(state, STAYS_GOOD_S)
-        return SuggestOrder(cell, self.name, until, found.steps, state.position)
 
     def _search(
         self,
@@ -160,6 +164,16 @@ class Planner:
         until = max(step.start for step in steps) + convert_lab_s(state, STAYS_GOOD_S)
         ordered = tuple(sorted(steps, key=lambda step: step.start))
         return SuggestOrder(cell, self.name, until, ordered, state.position)
+
+
+def _has_ranks(problem: SchedulingProblem) -> bool:
+    """Whether some runs go before others, or have a time at which they are due."""
+    due = (*problem.due_s, *problem.own_due_s)
+    return len(set(problem.ranks)) > 1 or any(at is not None for at in due)
+
+
+def _count(counts: Mapping[RunId, int], run: RunId) -> int:
+    return counts.get(run, 0)
 
 
 def _list_outside(

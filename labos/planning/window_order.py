@@ -29,7 +29,7 @@ from labos.planning.chains import Chain, Fit, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Ways
 from labos.planning.retiming import correct_times
-from labos.planning.window_timetable import PlannedCell, lay_out_runs
+from labos.planning.window_timetable import Estimate, PlannedCell, lay_out_runs
 
 OWN_WINDOWS = "labos, windows"
 """The author of the lab's own order for windows, in place of a planner's name."""
@@ -109,6 +109,11 @@ class CellSearch(msgspec.Struct):
     """The number of orders that were tried."""
     waited_since: int | None = None
     """The time since when runs wait for the search in an empty workcell (UTC ns)."""
+    suggested: tuple[RunId, ...] = ()
+    """The last order of runs that a planner has suggested for the search."""
+    loss: tuple[int, int] = (0, 0)
+    """The value of the best order, when it was found: the count of ``Value``, and the time that it stands for
+    (UTC ns)."""
 
     @property
     def goes_on(self) -> bool:
@@ -118,12 +123,14 @@ class CellSearch(msgspec.Struct):
 
 class WindowOrders:
     """The lab's own orders of workcells where clocks run. ``orders`` are those in force; ``tries`` counts the
-    timetables that were made. ``patience`` is the number of younger runs that may go before a waiting one."""
+    timetables that were made. ``patience`` is the number of younger runs that may go before a waiting one.
+    ``estimate`` returns the duration of a step (ns of wall time)."""
 
-    def __init__(self, patience: int) -> None:
+    def __init__(self, patience: int, estimate: Estimate = find_usual_time) -> None:
         self.orders: dict[str, OrderSuggested] = {}
         self.tries = 0
         self._patience = patience
+        self._estimate = estimate
         self._ways: dict[str, Ways] = {}
         self._searches: dict[str, CellSearch] = {}
 
@@ -142,6 +149,12 @@ class WindowOrders:
         """Drop the order of a workcell and its search."""
         self.orders.pop(cell, None)
         self._searches.pop(cell, None)
+
+    def find_line(self, cell: str) -> tuple[tuple[RunId, ...], tuple[int, int]]:
+        """The order of runs with which the last search ended, and its loss (``CellSearch.loss``). Less is
+        better. Without runs if there is no order."""
+        search = self._searches.get(cell, CellSearch())
+        return tuple(search.line or ()), search.loss
 
     def find_next_look(self) -> int | None:
         """The next time at which a search goes on even if nothing happens (UTC ns); None if all are over."""
@@ -184,8 +197,11 @@ class WindowOrders:
         members = (tuple(run.id for run in inside), tuple(run.id for run in waiting))
         known, order = search.members, self.orders.get(cell)
         tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
+        suggested = state.suggestions.find_line(cell, now)
+        is_new, search.suggested = suggested != search.suggested, suggested
+        hint = [*suggested] if is_new else []
         statuses = tuple(tuple(run.statuses) for run in inside)
-        if known == members:
+        if known == members and not hint:
             if search.looked == now or (order is None and search.statuses == statuses):
                 return False
             if order is not None and not is_waited_for and not _is_on_time(state, order, now):
@@ -199,14 +215,14 @@ class WindowOrders:
                 members = (members[0], tuple(run.id for run in waiting))
         elif known is not None and known[0] != members[0]:
             late.clear()
-        elif known is not None:
+        elif known is not None and known != members:
             tries = TRIES_NEW
         come = {*members[1]} - {*(known[1] if known is not None else ())}
         search.tried = max(0, search.tried - ENOUGH_EACH * len(come))
         search.members, search.looked, before = members, now, search.line
         is_same = known == members and search.statuses == statuses
         search.statuses = statuses
-        found = self._search(state, cell, inside, waiting, overtakings, now, tries, seed=now)
+        found = self._search(state, cell, inside, waiting, overtakings, now, tries, now, hint)
         if found is None:
             search.line = None
             return self.orders.pop(cell, None) is not None
@@ -226,13 +242,14 @@ class WindowOrders:
         now: int,
         tries: int,
     ) -> OrderSuggested | None:
-        """The best order of these runs that is found with this number of tries; None if there is none. A
-        planner's order may be in force. The order is not kept in ``orders``."""
+        """The best order of these runs that is found with this number of tries; None if there is none. The
+        search begins with the last order. A planner's order may be in force. The order is not kept in
+        ``orders``."""
         inside = [run for run in runs if run.has_started]
         waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None
         self._searches.setdefault(cell, CellSearch())
-        for tried in range(0, tries, CYCLE):
+        for tried in range(0, max(1, tries), CYCLE):
             seed = now + tried * BREATH_NS  # each cycle draws other numbers, as at a later time
             found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE), seed)
             if found is None:
@@ -249,6 +266,7 @@ class WindowOrders:
         now: int,
         tries: int,
         seed: int,
+        hint: Sequence[RunId] = (),
     ) -> OrderSuggested | None:
         plans = {run.plan for run in (*inside, *waiting)}
         if len(plans) < 2 or not all(state.runs.plans[name].windowed for name in plans):
@@ -256,7 +274,7 @@ class WindowOrders:
         if any(run.experiment or (run.choices and not run.has_started) for run in (*inside, *waiting)):
             return None  # the experiment's later runs, or the chosen modules, are not known
         ways = self._ways.setdefault(cell, Ways())
-        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now)
+        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now, self._estimate)
         if layout is None:
             return None
         for run in waiting:
@@ -269,16 +287,20 @@ class WindowOrders:
             layout.members, key=lambda n: (not layout.members[n].run.has_started, -search.work(n))
         )
         lines = [[*known, *new], by_work]
+        if hint:
+            hinted = [name for name in hint if name in layout.members]
+            lines.append([*hinted, *(name for name in lines[0] if name not in hinted)])
         if known and new:
             lines.append([name for name in by_work if name in new] + known)
         last = [name for name in found.last if name in layout.members]
-        here = last if len(last) == len(layout.members) else None
+        here = last if len(last) == len(layout.members) and not hint else None
         best, here = search.improve(lines, tries, here, found.tried)
         self.tries += search.tries
         found.tried += search.tries
         if best is None:
             return None
         found.line, found.last = best.line, here
+        found.loss = best.value[0], now + int(best.value[1] * layout.slot)
         fits = {
             name: run.fit for name, run in zip(best.line, best.fitted, strict=True) if run.fit is not None
         }

@@ -299,18 +299,26 @@ class WorkOperations(Calls):
 
     def suggested_order(self, workcell: str) -> dict[str, Any]:
         """Show the order that a planner suggests for the next steps of a workcell. Steps that have started,
-        or whose run has ended, are not in the answer. Returns ``workcell``, ``by``, ``until``, ``steps``.
-        Raises NotFound."""
+        or whose run has ended, are not in the answer. Returns ``workcell``, ``by``, ``until``, ``steps``,
+        ``line``. Raises NotFound."""
         return self._get("/workcells/{workcell}/order", locals())
 
     def suggest_order(
-        self, workcell: str, steps: Sequence[Mapping[str, Any]], until: int, position: int = 0, *, by: str
+        self,
+        workcell: str,
+        steps: Sequence[Mapping[str, Any]],
+        until: int,
+        position: int = 0,
+        line: Sequence[str] = (),
+        *,
+        by: str,
     ) -> int:
-        """Suggest an order for the next steps of a workcell. It replaces the previous suggestion. Steps of
-        ended runs are ignored. A suggestion never starts a step that could not start without it. ``steps``:
-        the steps, in any order; none: withdraw the suggestion. ``until``: the time until which it is valid
-        (UTC ns). ``position``: the position of the log from which it was computed. Returns the steps. Raises
-        NotFound, Refused."""
+        """Suggest an order for the next steps of a workcell. It replaces the previous suggestion. Ended runs
+        are ignored. A suggestion never starts a step that could not start without it. ``steps``: the steps,
+        in any order; neither steps nor a line: withdraw the suggestion. ``until``: the time until which it is
+        valid (UTC ns). ``position``: the position of the log from which it was computed. ``line``: in place
+        of steps, for runs with windows: an order of runs with which the lab's own search for an order begins.
+        Returns the steps. Raises NotFound, Refused."""
         return self._post("/workcells/{workcell}/order", locals(), repeat=True)["steps"]
 
     def _check_run(

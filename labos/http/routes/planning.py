@@ -131,13 +131,14 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
         )
     order = state.suggestions.orders.get(path.workcell)
     if order is None or order.until <= call.kernel.clock.now_ns():
-        return SuggestedOrder(path.workcell, "", 0, [])
+        return SuggestedOrder(path.workcell, "", 0, [], [])
     steps = []
     for one in order.steps:
         run = state.runs.get(one.run)
         if run is not None and is_pending(run, one.step):
             steps.append(OrderedStep(one.run, one.step, one.start))
-    return SuggestedOrder(path.workcell, order.by, order.until, steps)
+    line = [str(run) for run in order.line if run in state.runs.queued or run in state.runs.active]
+    return SuggestedOrder(path.workcell, order.by, order.until, steps, line)
 
 
 class OrderedStep(msgspec.Struct, frozen=True):
@@ -150,17 +151,19 @@ class OrderedStep(msgspec.Struct, frozen=True):
 
 class SuggestedOrder(msgspec.Struct, frozen=True):
     """The order that ``by`` suggests for a workcell, the earliest step first. It is valid until ``until``
-    (UTC ns; 0: no suggestion)."""
+    (UTC ns; 0: no suggestion). ``line``: in place of steps, the runs with which the lab's own search
+    begins."""
 
     workcell: str
     by: str
     until: int
     steps: list[OrderedStep]
+    line: list[str]
 
 
 @Operation(
     route="POST /workcells/{workcell}/order",
-    client=Method("suggest_order", "workcell, steps, until, position", take="steps", repeat=True),
+    client=Method("suggest_order", "workcell, steps, until, position, line", take="steps", repeat=True),
     summary="Suggest an order for the next steps of a workcell",
     needs="operator",
     problems=("not_found", "refused"),
@@ -172,10 +175,11 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
     example_answer={"steps": 1},
 )
 async def suggest_order(call: Call, path: OfWorkcell, body: OrderSuggestion) -> StepsLeft:
-    """It replaces the previous suggestion. Steps of ended runs are ignored. A suggestion never starts a step
-    that could not start without it."""
+    """It replaces the previous suggestion. Ended runs are ignored. A suggestion never starts a step that
+    could not start without it."""
     steps = tuple(Suggested(RunId(one.run), one.step, one.start, one.outside) for one in body.steps)
-    asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position)
+    line = tuple(map(RunId, body.line))
+    asked = SuggestOrder(path.workcell, body.by, body.until, steps, body.position, line)
     events = await call.kernel.execute(asked, body.by)
     return StepsLeft(sum(len(event.steps) for event in events if isinstance(event, OrderSuggested)))
 

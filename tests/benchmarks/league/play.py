@@ -216,8 +216,10 @@ class Player:
     def _look(self, planner: Planner) -> None:
         state, now = self.kernel.state, self.clock.now_ns()
         waiting = list_waiting(state, self.cell.name)
-        if self.watch is not None and not self.watch.is_due(state, self.cell.name, waiting, now):
-            return
+        if self.watch is not None:
+            is_due = self.watch.is_due(state, self.cell.name, waiting, now)
+            if not is_due and not planner.is_due(state, self.cell.name, waiting, now):
+                return
         found = planner.suggest(state, self.cell.name, waiting, now)
         if self.watch is not None:
             self.watch.note(state, self.cell.name, waiting, found, now)

@@ -30,12 +30,13 @@ modules:
 """
 
 
-def flow(name: str, *steps: str) -> dict[str, object]:
-    """A workflow of actions on `saw` and `drill`, one after the other."""
+def flow(name: str, *steps: str, within: str = "") -> dict[str, object]:
+    """A workflow of actions on `saw` and `drill`, one after the other, each ``within`` such a time."""
     lines = [f"labos: 1\nname: {name}\nsteps:"]
     for number, what in enumerate(steps):
         module = "saw" if what == "cut" else "drill"
-        lines.append(f"  - {{name: step {number}, module: {module}, action: {what}}}")
+        window = f", within: {{after: step {number - 1}, at_most: {within}}}" if within and number else ""
+        lines.append(f"  - {{name: step {number}, module: {module}, action: {what}{window}}}")
     return {"name": f"{name}.yaml", "text": "\n".join(lines) + "\n", "files": {}}
 
 
@@ -78,6 +79,28 @@ def test_a_planner_suggests_the_shorter_order_and_the_lab_follows(lab: LabThread
         begun = [e["payload"]["run"] for e in client.events() if e["type"] == "action.requested"]
         assert next(run for run in begun if run != earlier) == second
         assert client.suggested_order("shop")["steps"] == [], "nothing of it is still to come"
+
+
+@pytest.mark.slow
+def test_for_runs_with_windows_the_lab_begins_with_the_planner_s_line(lab: LabThread, tmp_path: Path) -> None:
+    pytest.importorskip("ortools")
+    with LabClient(lab.url) as client:
+        until(lambda: {each["status"] for each in client.state()["modules"]} == {"IDLE"}, "all are idle")
+        client.control("pause", "lab", "ada")
+        runs = [
+            client.submit(flow(f"way {number}", *steps, within="20 min"), user="ada")
+            for number, steps in enumerate([("cut", "bore"), ("bore", "cut"), ("cut", "cut", "bore")])
+        ]
+        home = str(tmp_path / "lab")
+        said = CliRunner().invoke(planner, ["--home", home, "--once", "--user", "ada"])
+        assert said.exit_code == 0, said.output
+        assert "shop: an order of 3 runs. The lab's own search begins with it." in said.output
+        order = client.suggested_order("shop")
+        assert (order["steps"], sorted(order["line"])) == ([], sorted(runs))
+        client.control("resume", "lab", "ada")
+        for run in runs:
+            assert client.wait(run).succeeded
+        assert client.suggested_order("shop")["line"] == []
 
 
 @pytest.mark.slow

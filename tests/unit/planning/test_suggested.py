@@ -138,6 +138,17 @@ def test_an_order_that_is_over_counts_no_more() -> None:
     assert lab.pump() == [f"{first}#0"]
 
 
+def test_a_line_names_each_run_once_and_only_those_that_have_not_ended() -> None:
+    lab, (first, second) = make_lab(visit("dev"), visit("other"))
+    until = lab.now + 60 * SECOND
+    (found,) = lab.do(SuggestOrder("cell", "p", until, (), line=(second, RunId("R999"), first, second)))
+    assert isinstance(found, OrderSuggested)
+    assert found.line == (second, first)
+    assert lab.state.suggestions.find_line("cell", lab.now) == (second, first)
+    assert lab.state.suggestions.find("cell", lab.now) is None, "it says nothing about single steps"
+    assert lab.state.suggestions.find_line("cell", until) == ()
+
+
 def refusal(lab: Driver, steps: Sequence[Suggested], cell: str = "cell", position: int = 0) -> str:
     command = SuggestOrder(cell, "planner", lab.now, tuple(steps), position)
     return lab.reject(command).code
@@ -150,6 +161,10 @@ def test_what_is_no_order_is_refused() -> None:
     assert refusal(lab, [Suggested(run, -1, 0)]) == "no_step"
     assert refusal(lab, [Suggested(run, 0, 0)] * (MOST_STEPS + 1)) == "too_many"
     assert refusal(lab, [], position=10**6) == "ahead"
+    both = SuggestOrder("cell", "planner", lab.now, (Suggested(run, 0, 0),), line=(run,))
+    assert lab.reject(both).code == "two_orders"
+    too_many = SuggestOrder("cell", "planner", lab.now, (), line=(run,) * (MOST_STEPS + 1))
+    assert lab.reject(too_many).code == "too_many"
     assert lab.do(SuggestOrder("cell", "planner", 0, (Suggested(RunId("R999"), 0, 0),)))[0].steps == ()  # type: ignore[attr-defined]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import random
 import re
+from collections.abc import Callable
 
 from msgspec.structs import replace
 
@@ -13,13 +15,16 @@ from labos.core.model import Plan, Window
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import Chain, Fit, Leg, SlotTable
 from labos.planning.scheduler import make_searching_scheduler
+from labos.planning.waiting import PATIENCE
 from labos.planning.window_order import (
     ENOUGH_EACH,
     LONGEST_SEARCH_NS,
     MOST_WAITING,
+    OWN_WINDOWS,
     TRIES_EACH,
     TRIES_NEW,
     FittedRun,
+    WindowOrders,
     fit_behind,
 )
 from tests.support.bench import Driver
@@ -43,10 +48,11 @@ def orders_of(lab: Driver) -> dict[str, OrderSuggested]:
     return lab.scheduler.window_orders.orders
 
 
-def go_on(lab: Driver) -> None:
+def go_on(lab: Driver, interfere: Callable[[], None] = lambda: None) -> None:
     """Let everything end after the time that it should take, to the end of all."""
     ends: dict[str, int] = {}
     while True:
+        interfere()
         lab.pump()
         for action in lab.list_flying():
             found = lab.state.actions.open[action]
@@ -105,6 +111,63 @@ def test_a_planner_s_order_goes_before() -> None:
     lab.write(OrderSuggested("cell", "planner", lab.now + 10**12, steps))
     lab.pump()
     assert "cell" not in orders_of(lab)
+
+
+def find_long(lab: Driver, tries: int) -> tuple[tuple[RunId, ...], tuple[int, int]]:
+    """The order of runs that a longer search finds, and its loss."""
+    orders = WindowOrders(PATIENCE)
+    runs = [*lab.state.runs.list_inside("cell"), *lab.state.runs.queued.values()]
+    assert orders.search_longer(lab.state, "cell", runs, lambda _: 0, lab.now, tries) is not None
+    return orders.find_line("cell")
+
+
+def mixed_lab(seed: int) -> Driver:
+    """One run inside, and eleven unlike ones that wait."""
+    draws = random.Random(f"line/{seed}")
+    lab = lab_with(TO_LATHE)
+    lab.pump()
+    for number in range(11):
+        stops = [(name, draws.choice([30.0, 120.0, 240.0])) for name in ("mill", "lathe", "oven")]
+        draws.shuffle(stops)
+        lab.submit(hurried(way(f"way {number}", *stops)))
+    lab.pump()
+    return lab
+
+
+def test_the_search_begins_with_a_suggested_line_and_keeps_what_is_better() -> None:
+    better = 0
+    for seed in range(5):
+        lab = mixed_lab(seed)
+        orders = lab.scheduler.window_orders
+        _, known = orders.find_line("cell")
+        line, loss = find_long(lab, 6000)
+        lab.write(OrderSuggested("cell", "planner", lab.now + 10**13, (), line))
+        lab.pump()
+        assert "cell" in orders_of(lab), "the lab goes on with an order of its own"
+        assert orders_of(lab)["cell"].by == OWN_WINDOWS
+        assert orders.find_line("cell")[1] <= min(known, loss)
+        better += loss < known
+        _, known = orders.find_line("cell")
+        lab.write(OrderSuggested("cell", "planner", lab.now + 10**13, (), line[::-1]))
+        lab.pump()
+        assert orders.find_line("cell")[1] <= known, "a worse line changes nothing"
+    assert better >= 3
+
+
+def test_bad_lines_stop_nobody() -> None:
+    """Lines in any order, of runs that exist or not, again and again."""
+    for seed in range(5):
+        draws, lab = random.Random(f"lines/{seed}"), lab_with(*[TO_LATHE, TO_OVEN, FROM_LATHE] * 3)
+
+        def interfere(lab: Driver = lab, draws: random.Random = draws) -> None:
+            names = [*lab.state.runs.active, *lab.state.runs.queued, RunId("R99")]
+            draws.shuffle(names)
+            lab.write(OrderSuggested("cell", "planner", lab.now + 10**12, (), tuple(names)))
+
+        go_on(lab, interfere)
+        assert not lab.state.runs.active
+        assert not lab.state.runs.queued
+        assert "window.breached" not in lab.types()
 
 
 def test_the_order_is_forgotten_when_no_clock_runs() -> None:
