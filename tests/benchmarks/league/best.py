@@ -8,6 +8,7 @@ which nothing can be.
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 
 import msgspec
@@ -20,31 +21,33 @@ from tests.benchmarks.league.score import BEST, Known, play_case, read_best, tim
 STEP_S = 5
 
 
-def search(problem: Problem, hint: Times, seconds: float) -> tuple[Times | None, float]:
-    """The best schedule that keeps all windows found in so many seconds, and the least that any can take."""
+def search(
+    problem: Problem, hint: Times, seconds: float, step_s: float = STEP_S
+) -> tuple[Times | None, float]:
+    """The best schedule that keeps all windows found in so many seconds, and the least that any can take. In
+    both, durations are rounded down to ``step_s``, and windows are rounded up."""
     from ortools.sat.python import cp_model
 
     model = cp_model.CpModel()
-    horizon = int(makespan(hint)) * 2 // STEP_S
+    horizon = int(makespan(hint) * 2 / step_s)
     tasks = problem.tasks
-    length = [round(task.duration_s / STEP_S) for task in tasks]
-    assert all(n * STEP_S == task.duration_s for n, task in zip(length, tasks, strict=True))
+    length = [math.floor(task.duration_s / step_s + 1e-9) for task in tasks]
     begin = [model.new_int_var(0, horizon, f"s{number}") for number in range(len(tasks))]
     end = [start + takes for start, takes in zip(begin, length, strict=True)]
     whole = model.new_int_var(0, horizon, "makespan")
     using: dict[str, list[cp_model.IntervalVar]] = {}
     for number, task in enumerate(tasks):
         model.add(whole >= end[number])
-        model.add_hint(begin[number], round(hint[number][0] / STEP_S))
+        model.add_hint(begin[number], round(hint[number][0] / step_s))
         interval = model.new_fixed_size_interval_var(begin[number], length[number], f"i{number}")
         for name in task.takes:
             using.setdefault(name, []).append(interval)
         for before in task.after:
             model.add(begin[number] >= end[before])
         for clock in task.clocks:
-            model.add(begin[number] >= end[clock.anchor] + round(clock.wait_s / STEP_S))
+            model.add(begin[number] >= end[clock.anchor] + math.floor(clock.wait_s / step_s + 1e-9))
             if clock.within_s is not None:
-                model.add(begin[number] <= end[clock.anchor] + round(clock.within_s / STEP_S))
+                model.add(begin[number] <= end[clock.anchor] + math.ceil(clock.within_s / step_s - 1e-9))
     for intervals in using.values():
         model.add_no_overlap(intervals)
     standing: dict[str, list[cp_model.IntervalVar]] = {}
@@ -73,10 +76,10 @@ def search(problem: Problem, hint: Times, seconds: float) -> tuple[Times | None,
     solver.parameters.max_time_in_seconds = seconds
     solver.parameters.num_workers = 2
     status = solver.solve(model)
-    bound = solver.best_objective_bound * STEP_S
+    bound = solver.best_objective_bound * step_s
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return None, bound
-    starts = [solver.value(start) * STEP_S for start in begin]
+    starts = [solver.value(start) * step_s for start in begin]
     return {n: (float(s), s + tasks[n].duration_s) for n, s in enumerate(starts)}, bound
 
 
@@ -111,6 +114,7 @@ def _alike(problem: Problem) -> list[tuple[int, int]]:
 def improve(case: Case, seconds: float) -> Known:
     """The best that is known of a case now."""
     problem = problem_of(case.cell, case.works)
+    assert all(task.duration_s % STEP_S == 0 for task in problem.tasks)
     hint = times_of(case, play_case(case))
     before = read_best().get(case.key)
     found, bound = search(problem, hint, seconds)

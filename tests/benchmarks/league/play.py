@@ -232,10 +232,15 @@ class Player:
         self._begun[event.run, event.step] = now
         step = self.kernel.state.runs.plan_of(self.kernel.state.runs.active[event.run]).steps[event.step]
         work, index = self.outcome.works[event.run]
-        drawn = random.Random(f"league/{self._seed}/{work}/{index}/{event.step}")
-        took = step.duration_s * drawn.uniform(1 - self.jitter, 1 + self.jitter)
+        took = draw_duration(self._seed, self.jitter, work, index, event.step, step.duration_s)
         done = FinishAction(event.action, event.attempt, True, "all")
         self.loop.call_later(took, self._tell, done)
+
+
+def draw_duration(seed: int, jitter: float, work: int, run: int, step: int, duration_s: float) -> float:
+    """How long a step of a run of a work takes, if durations vary by up to this part, either way."""
+    drawn = random.Random(f"league/{seed}/{work}/{run}/{step}")
+    return duration_s * drawn.uniform(1 - jitter, 1 + jitter)
 
 
 def _list_submitted(events: Sequence[Event]) -> list[RunId]:
