@@ -63,7 +63,7 @@ class Planner:
         self.end_weight = end_weight
         self._solve = solver
         self._overtaken: dict[str, Overtakings] = {}
-        self._windows = WindowSearch(name, int(MOST_TRIES * min(1.0, seconds)), level)
+        self._windows = WindowSearch(name, int(MOST_TRIES * min(1.0, seconds)))
 
     def is_due(self, state: LabState, cell: str, waiting: Iterable[RunState], now: int) -> bool:
         """Whether the order of runs with windows that was suggested last has become worse, so that a new

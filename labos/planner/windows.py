@@ -13,7 +13,6 @@ changes nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from itertools import islice
 
 import msgspec
@@ -21,13 +20,10 @@ from msgspec.structs import replace
 
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
-from labos.core.model import PlanStep
 from labos.core.rules import convert_lab_s
 from labos.core.runs import RunState, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planner.lengths import estimate_at_level
-from labos.planning.forecast import find_setup_ns
 from labos.planning.waiting import PATIENCE
 from labos.planning.window_order import MOST_WAITING, WindowOrders
 
@@ -47,12 +43,12 @@ class _Searched(msgspec.Struct, frozen=True):
 
 
 class WindowSearch:
-    """The planner's orders of runs with windows. ``tries`` is the number of orders that a search tries, and
-    ``level`` the quantile of durations for planning."""
+    """The planner's orders of runs with windows. ``tries`` is the number of orders that a search tries. As in
+    the lab, steps take their usual times in it: the lab compares the order with its own one."""
 
-    def __init__(self, name: str, tries: int, level: float) -> None:
+    def __init__(self, name: str, tries: int) -> None:
         self._name, self._tries = name, tries
-        self._orders = WindowOrders(PATIENCE, partial(_estimate, level))
+        self._orders = WindowOrders(PATIENCE)
         self._searched: dict[str, _Searched] = {}
 
     def is_due(
@@ -113,8 +109,3 @@ def _list_runs(state: LabState, cell: str, waiting: Iterable[RunState]) -> list[
     """The runs of which the lab itself would find an order now."""
     ahead = (run for run in waiting if not find_holds(run))
     return [*state.runs.list_inside(cell), *islice(ahead, MOST_WAITING)]
-
-
-def _estimate(level: float, state: LabState, step: PlanStep) -> int:
-    pace = state.lab.pace
-    return estimate_at_level(state.lengths, step, pace, level) + find_setup_ns(state, step)

@@ -29,7 +29,7 @@ from labos.planning.chains import Chain, Fit, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Ways
 from labos.planning.retiming import correct_times
-from labos.planning.window_timetable import Estimate, PlannedCell, lay_out_runs
+from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
 OWN_WINDOWS = "labos, windows"
 """The author of the lab's own order for windows, in place of a planner's name."""
@@ -123,14 +123,12 @@ class CellSearch(msgspec.Struct):
 
 class WindowOrders:
     """The lab's own orders of workcells where clocks run. ``orders`` are those in force; ``tries`` counts the
-    timetables that were made. ``patience`` is the number of younger runs that may go before a waiting one.
-    ``estimate`` returns the duration of a step (ns of wall time)."""
+    timetables that were made. ``patience`` is the number of younger runs that may go before a waiting one."""
 
-    def __init__(self, patience: int, estimate: Estimate = find_usual_time) -> None:
+    def __init__(self, patience: int) -> None:
         self.orders: dict[str, OrderSuggested] = {}
         self.tries = 0
         self._patience = patience
-        self._estimate = estimate
         self._ways: dict[str, Ways] = {}
         self._searches: dict[str, CellSearch] = {}
 
@@ -274,7 +272,7 @@ class WindowOrders:
         if any(run.experiment or (run.choices and not run.has_started) for run in (*inside, *waiting)):
             return None  # the experiment's later runs, or the chosen modules, are not known
         ways = self._ways.setdefault(cell, Ways())
-        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now, self._estimate)
+        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now)
         if layout is None:
             return None
         for run in waiting:

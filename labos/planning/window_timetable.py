@@ -7,7 +7,7 @@ of the same run. No run may use doors, setpoints or holds, or have a step for a 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 
@@ -29,8 +29,6 @@ MOST_SLOTS = 2048
 
 SLOTS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 30.0, 60.0, 300.0, 900.0, 3600.0)
 """The possible lengths of a slot (lab seconds). The shortest that needs at most ``MOST_SLOTS`` is used."""
-
-Estimate = Callable[[LabState, PlanStep], int]
 
 KNOWN = (Carrying, Needs, Consumes)
 """The effects that the timetable can represent. With any other effect there is no timetable."""
@@ -70,22 +68,17 @@ class PlannedCell(msgspec.Struct):
 
 
 def lay_out_runs(
-    state: LabState,
-    cell: str,
-    ways: Ways,
-    runs: Sequence[RunState],
-    now: int,
-    estimate: Estimate = find_usual_time,
+    state: LabState, cell: str, ways: Ways, runs: Sequence[RunState], now: int
 ) -> PlannedCell | None:
-    """The runs of a workcell, inside and queued, as chains. ``estimate`` returns the duration of a step (ns
-    of wall time). None if a run is no chain, is held or cancelled, or has a step of unknown outcome."""
+    """The runs of a workcell, inside and queued, as chains. None if a run is no chain, is held or cancelled,
+    or has a step of unknown outcome."""
     lines: list[tuple[RunState, StepChain, tuple[Task, ...]]] = []
     lengths: dict[RunId, dict[int, int]] = {}
     for run in runs:
         if run.has_started and (run.status != RunStatus.ACTIVE or find_holds(run)):
             return None
         plan = state.runs.plan_of(run)
-        durations = {i: estimate(state, step) for i, step in enumerate(plan.steps)}
+        durations = {i: find_usual_time(state, plan.steps[i]) for i in range(len(plan.steps))}
         line = _read_line(state, plan, durations)
         if line is None:
             return None

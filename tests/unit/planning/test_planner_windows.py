@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from labos.core.ids import RunId
-from labos.core.lengths import Times, make_kind
 from labos.core.suggestions import OrderSuggested
 from labos.planner.planner import Planner
 from labos.planner.watch import list_waiting
@@ -91,20 +90,6 @@ def test_runs_of_different_ranks_are_judged_by_a_rehearsal() -> None:
         waiting = [run for run in order.line if run in lab.state.runs.queued]
         assert waiting[0] == urgent
     assert order is None or not order.steps
-
-
-def test_at_a_high_quantile_of_durations_a_long_step_was_expected() -> None:
-    for level, expected in ((0.5, True), (1.0, False)):
-        lab = mixed_lab(1)
-        action = lab.state.actions.open[lab.list_flying()[0]]
-        step = lab.state.runs.plan_of(lab.run(action.run)).steps[action.step]
-        times = lab.state.lengths.by_kind[make_kind(step)] = Times()
-        for part in (1, 1, 1, 1, 20):
-            times.add(int(step.duration_s * part * 1e9))
-        planner = Planner(seconds=0.2, solver=lambda *_: None, level=level)
-        assert find_order(planner, lab) is not None
-        lab.wait(step.duration_s * 15)
-        assert is_due(planner, lab) is expected
 
 
 def test_where_the_lab_has_no_order_of_its_own_no_line_is_suggested() -> None:
