@@ -89,7 +89,9 @@ class PtyEnd:
                 if far < 0:
                     select.select([], [], [], timeout_s)
                 return b""
-            return os.read(far, 65536)
+            # Unplugged meanwhile, the number may be that of another file, and its read might never return.
+            with self._lock:
+                return os.read(far, 65536) if far == self._far else b""
         except (OSError, ValueError):
             return b""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import select
 import threading
 import time
 from collections.abc import Iterator
@@ -247,3 +249,28 @@ def test_a_transcript_replays_over_a_real_wire(link: Link, end: FarEnd, tmp_path
     assert left == []
     again.close()
     stage.close()
+
+
+def test_a_line_that_is_unplugged_while_its_end_waits_reads_no_other_file(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The number of the closed file may be given to another one at once; its read might never return."""
+    end = PtyEnd()
+    number, opened = end._far, list[int]()
+
+    def unplug_meanwhile(waiting: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
+        end.unplug()
+        while number not in opened:
+            into, out = os.pipe()
+            opened.extend((into, out))
+            os.write(out, b"not of this line")
+        return waiting, [], []
+
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(select, "select", unplug_meanwhile)
+            assert end.read(1.0) == b""
+    finally:
+        end.close()
+        for each in opened:
+            os.close(each)
