@@ -43,7 +43,8 @@ LOST_PAUSE_S = 5.0
     default=0.5,
     show_default=True,
     metavar="0..1",
-    help="The quantile of measured durations to plan with: 0.5 is the median, 0.8 is longer.",
+    help="The quantile of measured durations to plan with: 0.5 is the median, 0.8 is longer. Where "
+    "the lab has its own order for windows, the median counts.",
 )
 @click.option(
     "--end-weight",

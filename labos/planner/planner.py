@@ -23,13 +23,10 @@ from labos.planner.overtakings import Overtakings
 from labos.planner.problem import SchedulingProblem, add_next, choose_runs, problem_of
 from labos.planner.rehearsal import DRAWN, OrderRehearsal, Way
 from labos.planner.solve import Schedule, solve
-from labos.planner.windows import WindowSearch
+from labos.planner.windows import STAYS_GOOD_S, WindowSearch
 from labos.planning.suggested import GRACE_S
 
 Solver = Callable[[SchedulingProblem, float, dict[int, float]], Schedule | None]
-
-STAYS_GOOD_S = 3600.0
-"""A suggestion is valid for at most so long after its last start (lab seconds)."""
 
 MOST_TRIES = 15_000
 """The most orders of runs with windows that one search tries; fewer if a search has less than a second. They

@@ -27,7 +27,7 @@ from labos.core.suggestions import OrderSuggested
 from labos.planning.waiting import PATIENCE
 from labos.planning.window_order import MOST_WAITING, WindowOrders
 
-LEAST_LOSS = 0.005
+LEAST_DELAY = 0.005
 """A new search is made if the end of all runs is put off by more than this part of the time until then."""
 
 STAYS_GOOD_S = 3600.0
@@ -36,10 +36,10 @@ one."""
 
 
 class _Searched(msgspec.Struct, frozen=True):
-    """The runs of the last search, and the loss of the order that it found (``WindowOrders.find_line``)."""
+    """The runs of the last search, and the rating of the order that it found (``WindowOrders.find_best``)."""
 
     runs: frozenset[RunId]
-    loss: tuple[int, int]
+    rating: tuple[int, int]
 
 
 class WindowSearch:
@@ -69,8 +69,8 @@ class WindowSearch:
             return True
         if self._orders.search_longer(state, cell, runs, overtakings, now, 0) is None:
             return True
-        _, (out, end) = self._orders.find_line(cell)
-        return out > last.loss[0] or end > last.loss[1] + LEAST_LOSS * (end - now)
+        _, (out, end) = self._orders.find_best(cell)
+        return out > last.rating[0] or end > last.rating[1] + LEAST_DELAY * (end - now)
 
     def search(
         self,
@@ -87,8 +87,8 @@ class WindowSearch:
         if found is None:
             self._searched.pop(cell, None)
             return None
-        line, loss = self._orders.find_line(cell)
-        self._searched[cell] = _Searched(frozenset(run.id for run in runs), loss)
+        line, rating = self._orders.find_best(cell)
+        self._searched[cell] = _Searched(frozenset(run.id for run in runs), rating)
         return replace(found, line=line)
 
     def suggest_line(self, state: LabState, found: OrderSuggested, now: int) -> SuggestOrder | None:

@@ -7,8 +7,9 @@ end of all is kept, and the next search begins with it. It is followed like a pl
 (``suggested``): all rules are checked, and a start counts as planned only if no window is missed needlessly
 in a rehearsal.
 
-There is no such order while a planner's order is in force, or if all runs have the same plan. There is none
-either if a run has no windows, uses doors, setpoints or holds, or has steps that do not follow one another.
+A planner may suggest an order of the runs with which the search begins. There is no such order while a
+planner suggests times of steps, or if all runs have the same plan. There is none either if a run has no
+windows, uses doors, setpoints or holds, or has steps that do not follow one another.
 The same applies to experiments, and to waiting runs that may choose a module.
 """
 
@@ -111,9 +112,9 @@ class CellSearch(msgspec.Struct):
     """The time since when runs wait for the search in an empty workcell (UTC ns)."""
     suggested: tuple[RunId, ...] = ()
     """The last order of runs that a planner has suggested for the search."""
-    loss: tuple[int, int] = (0, 0)
-    """The value of the best order, when it was found: the count of ``Value``, and the time that it stands for
-    (UTC ns)."""
+    rating: tuple[int, int] = (0, 0)
+    """The value of the best order when it was found: the number of ``Value``, and its slots as a time (UTC
+    ns). So ratings of different times can be compared."""
 
     @property
     def goes_on(self) -> bool:
@@ -148,11 +149,11 @@ class WindowOrders:
         self.orders.pop(cell, None)
         self._searches.pop(cell, None)
 
-    def find_line(self, cell: str) -> tuple[tuple[RunId, ...], tuple[int, int]]:
-        """The order of runs with which the last search ended, and its loss (``CellSearch.loss``). Less is
-        better. Without runs if there is no order."""
+    def find_best(self, cell: str) -> tuple[tuple[RunId, ...], tuple[int, int]]:
+        """The best order of runs of the last search, and its rating (``CellSearch.rating``; less is better).
+        Without runs if there is no order."""
         search = self._searches.get(cell, CellSearch())
-        return tuple(search.line or ()), search.loss
+        return tuple(search.line or ()), search.rating
 
     def find_next_look(self) -> int | None:
         """The next time at which a search goes on even if nothing happens (UTC ns); None if all are over."""
@@ -298,7 +299,7 @@ class WindowOrders:
         if best is None:
             return None
         found.line, found.last = best.line, here
-        found.loss = best.value[0], now + int(best.value[1] * layout.slot)
+        found.rating = best.value[0], now + int(best.value[1] * layout.slot)
         fits = {
             name: run.fit for name, run in zip(best.line, best.fitted, strict=True) if run.fit is not None
         }

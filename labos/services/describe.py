@@ -151,6 +151,14 @@ MOST_NAMED = 5
 _DONE = {"all": "it was done", "none": "it was not done"}
 
 
+def _describe_suggestion(event: OrderSuggested) -> str:
+    if event.line:
+        return f"{event.by} suggests an order of {len(event.line)} runs in {event.workcell} to begin with"
+    if not event.steps:
+        return f"{event.by} suggests no order in {event.workcell} any more"
+    return f"{event.by} suggests an order for {len(event.steps)} steps in {event.workcell}"
+
+
 def _describe_booking(event: k.BookingTerms) -> str:
     whom = (
         "maintenance" if event.maintenance else _when(event.group, f"the group {event.group}") or event.user
@@ -358,7 +366,7 @@ SENTENCES: dict[type[Event], Callable[[Any, Catalogue], str]] = {
     q.SharesApplied: lambda e, _: (
         f"weights and quotas of {len(e.groups)} groups and {len(e.users)} users are valid from now on"
     ),
-    OrderSuggested: lambda e, _: f"{e.by} suggests an order for {len(e.steps)} steps in {e.workcell}",
+    OrderSuggested: lambda e, _: _describe_suggestion(e),
     RunSigned: lambda e, _: f"{e.by} signed {e.run}: {e.meaning}{_when(e.why, f': {e.why}')}",
     RecordsSigned: lambda e, _: (
         f"{e.by} signed the {e.kind} {e.subject} with {e.runs} run{'' if e.runs == 1 else 's'}: "

@@ -137,7 +137,7 @@ async def show_order(call: Call, path: OfWorkcell) -> SuggestedOrder:
         run = state.runs.get(one.run)
         if run is not None and is_pending(run, one.step):
             steps.append(OrderedStep(one.run, one.step, one.start))
-    line = [str(run) for run in order.line if run in state.runs.queued or run in state.runs.active]
+    line = [str(run) for run in order.line if state.runs.get(run) is not None]
     return SuggestedOrder(path.workcell, order.by, order.until, steps, line)
 
 

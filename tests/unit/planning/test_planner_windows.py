@@ -29,16 +29,16 @@ def test_the_lab_takes_over_a_better_order_of_runs_and_corrects_it_further() -> 
     for seed in range(2):
         lab, planner = mixed_lab(seed), make_planner()
         orders = lab.scheduler.window_orders
-        _, known = orders.find_line("cell")
+        _, known = orders.find_best("cell")
         order = find_order(planner, lab)
         assert order is not None
         assert not order.steps
         assert sorted(order.line) == sorted([*lab.state.runs.active, *lab.state.runs.queued])
         lab.do(order)
         lab.pump()
-        line, loss = orders.find_line("cell")
-        assert loss <= known
-        better += loss < known and line == order.line
+        line, rating = orders.find_best("cell")
+        assert rating <= known
+        better += rating < known and line == order.line
         assert orders_of(lab)["cell"].by == OWN_WINDOWS
         again = find_order(planner, lab)
         assert again is None or again.line != order.line, "the lab knows that one"

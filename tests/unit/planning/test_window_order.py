@@ -114,11 +114,11 @@ def test_a_planner_s_order_goes_before() -> None:
 
 
 def find_long(lab: Driver, tries: int) -> tuple[tuple[RunId, ...], tuple[int, int]]:
-    """The order of runs that a longer search finds, and its loss."""
+    """The order of runs that a longer search finds, and its rating."""
     orders = WindowOrders(PATIENCE)
     runs = [*lab.state.runs.list_inside("cell"), *lab.state.runs.queued.values()]
     assert orders.search_longer(lab.state, "cell", runs, lambda _: 0, lab.now, tries) is not None
-    return orders.find_line("cell")
+    return orders.find_best("cell")
 
 
 def mixed_lab(seed: int) -> Driver:
@@ -139,18 +139,18 @@ def test_the_search_begins_with_a_suggested_line_and_keeps_what_is_better() -> N
     for seed in range(2):
         lab = mixed_lab(seed)
         orders = lab.scheduler.window_orders
-        _, known = orders.find_line("cell")
-        line, loss = find_long(lab, 1500)
+        _, known = orders.find_best("cell")
+        line, rating = find_long(lab, 1500)
         lab.write(OrderSuggested("cell", "planner", lab.now + 10**13, (), line))
         lab.pump()
         assert "cell" in orders_of(lab), "the lab goes on with an order of its own"
         assert orders_of(lab)["cell"].by == OWN_WINDOWS
-        assert orders.find_line("cell")[1] <= min(known, loss)
-        better += loss < known
-        _, known = orders.find_line("cell")
+        assert orders.find_best("cell")[1] <= min(known, rating)
+        better += rating < known
+        _, known = orders.find_best("cell")
         lab.write(OrderSuggested("cell", "planner", lab.now + 10**13, (), line[::-1]))
         lab.pump()
-        assert orders.find_line("cell")[1] <= known, "a worse line changes nothing"
+        assert orders.find_best("cell")[1] <= known, "a worse line changes nothing"
     assert better >= 1
 
 
