@@ -16,6 +16,7 @@ from labos.core.ids import LabwareId, RunId, StationName
 from labos.core.labware import LabwareUncertain
 from labos.core.registry import TYPES, Event
 from labos.core.state import LabState
+from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import BadInput, LogDamaged, NotFound
 from labos.runtime.ledger import fold
 from labos.services.catalogue import read_catalogue
@@ -291,3 +292,15 @@ def test_a_failed_step_bears_its_error(tmp_path: Path, open_log: Open) -> None:
     run = run_history(open_log(book.save(tmp_path)), "R1")
     assert (run.status, run.steps[4].state, run.steps[4].error) == ("failed", "failed", "no foil")
     assert "no foil" in run.why
+
+
+def test_each_kind_of_suggestion_has_its_sentence() -> None:
+    def say(steps: tuple[Suggested, ...], line: tuple[RunId, ...]) -> str:
+        event = OrderSuggested("rpl", "planner", 1, steps, line)
+        head = Envelope("lab", 1, "id", event.stream(), 1, event.TYPE, 1, 1, "ada", "", "", "")
+        return describe(event, head)
+
+    run = RunId("R1")
+    assert "planner suggests an order for 1 steps in rpl" in say((Suggested(run, 0, 1),), ())
+    assert "planner suggests an order of 2 runs in rpl to begin with" in say((), (run, RunId("R2")))
+    assert "planner suggests no order in rpl any more" in say((), ())
