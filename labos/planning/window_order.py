@@ -23,7 +23,7 @@ import msgspec
 
 from labos.core.ids import RunId
 from labos.core.rules import convert_lab_s
-from labos.core.runs import PENDING, RunState
+from labos.core.runs import PENDING, RunState, find_holds
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import Chain, Fit, SlotTable
@@ -101,9 +101,9 @@ class CellSearch(msgspec.Struct):
     late: dict[RunId, bool] = {}
     """The runs that did not start in time. They are left out."""
     seen: object = None
-    """The step statuses of the runs inside when a run was late last."""
-    statuses: object = None
-    """The step statuses of the runs inside at the last search."""
+    """The progress of the runs inside when a run was late last."""
+    progress: object = None
+    """The progress of the runs inside at the last search."""
     looked: int = 0
     """The time of the last search (UTC ns)."""
     tried: int = 0
@@ -198,17 +198,17 @@ class WindowOrders:
         tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
         suggested = state.suggestions.find_line(cell, now)
         is_new, search.suggested = suggested != search.suggested, suggested
-        hint = [*suggested] if is_new else []
-        statuses = tuple(tuple(run.statuses) for run in inside)
-        if known == members and not hint:
-            if search.looked == now or (order is None and search.statuses == statuses):
+        hint = suggested if is_new or search.line is None else ()
+        progress = tuple((run.status, find_holds(run), *run.statuses) for run in inside)
+        if known == members and not (is_new and suggested):
+            if search.looked == now or (order is None and search.progress == progress):
                 return False
             if order is not None and not is_waited_for and not _is_on_time(state, order, now):
                 # Only once for each progress of the runs inside: the rules do not let the late runs start, so
                 # the next order does not wait for them again.
-                if search.seen == statuses:
+                if search.seen == progress:
                     return False
-                search.seen = statuses
+                search.seen = progress
                 late.update(dict.fromkeys(_list_late(state, order, now), True))
                 waiting = [run for run in waiting if run.id not in late]
                 members = (members[0], tuple(run.id for run in waiting))
@@ -219,8 +219,8 @@ class WindowOrders:
         come = {*members[1]} - {*(known[1] if known is not None else ())}
         search.tried = max(0, search.tried - ENOUGH_EACH * len(come))
         search.members, search.looked, before = members, now, search.line
-        is_same = known == members and search.statuses == statuses
-        search.statuses = statuses
+        is_same = known == members and search.progress == progress
+        search.progress = progress
         found = self._search(state, cell, inside, waiting, overtakings, now, tries, now, hint)
         if found is None:
             search.line = None

@@ -154,6 +154,29 @@ def test_the_search_begins_with_a_suggested_line_and_keeps_what_is_better() -> N
     assert better >= 1
 
 
+def test_a_line_that_comes_while_a_run_inside_is_paused_is_used_when_it_goes_on() -> None:
+    better = 0
+    for seed in range(2):
+        lab = mixed_lab(seed)
+        orders = lab.scheduler.window_orders
+        _, known = orders.find_best("cell")
+        line, rating = find_long(lab, 1500)
+        lab.do(PauseRun(RunId("R1")))
+        lab.wait(1.0)
+        lab.pump()
+        assert "cell" not in orders_of(lab), "nobody knows when the run goes on"
+        lab.write(OrderSuggested("cell", "planner", lab.now + 10**13, (), line))
+        lab.pump()
+        lab.do(ResumeRun(RunId("R1")))
+        lab.wait(1.0)
+        lab.pump()
+        assert "cell" in orders_of(lab), "there is an order again before the next step ends"
+        out, end = orders.find_best("cell")[1]
+        assert (out, end - 2 * 10**9) <= rating, "as good as the line, two seconds later"
+        better += rating < known
+    assert better >= 1
+
+
 def test_bad_lines_stop_nobody() -> None:
     """Lines in any order, of runs that exist or not, again and again."""
     for seed in range(2):
