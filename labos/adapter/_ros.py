@@ -106,8 +106,8 @@ class BridgeProcess:
         """Report every message of a topic."""
 
         def receive(message: dict[str, Any] | None) -> None:
-            if message is not None and "told" in message:
-                callback(message["told"])
+            if message is not None and "message" in message:
+                callback(message["message"])
 
         self._say(self._listen(receive), watch=topic, type=kind)
 

@@ -5,7 +5,7 @@ installed. One JSON object a line comes in by standard input, one goes out by st
     {"id": 1, "call": "/x/home", "type": "std_srvs/srv/Trigger", "fields": {}, "wait_s": 3}
         {"id": 1, "absent": true}, or {"id": 1, "sent": true} and later {"id": 1, "answer": {...}}
     {"id": 2, "watch": "/x/state", "type": "std_msgs/msg/String"}
-        {"id": 2, "told": {...}}, again and again
+        {"id": 2, "message": {...}}, again and again
     {"id": 3, "ready": "/x/home", "type": "std_srvs/srv/Trigger"}
         {"id": 3, "answer": true}
     {"id": 4, "frame": "/x/video_frames", "file": "/tmp/raw"}
@@ -152,7 +152,7 @@ class Bridge:
 
     def watch(self, known: int, topic: str, kind: str) -> None:
         def pass_on(message: Any) -> None:
-            self.say(id=known, told=plain(message))
+            self.say(id=known, message=plain(message))
 
         self.watched[known] = self.node.create_subscription(find_type(kind), topic, pass_on, 10)
 

@@ -100,7 +100,8 @@ CAUSES: Links = {
     },
     "calibration": {
         "recorded by user": "SELECT recorded_by, position FROM calibrations WHERE calibration = :name",
-        "is told by file": "SELECT file, position FROM calibrations WHERE calibration = :name AND file <> ''",
+        "is described by file": "SELECT file, position FROM calibrations "
+        "WHERE calibration = :name AND file <> ''",
     },
     "lot": {
         "was put in by user": "SELECT e.actor, u.position FROM lot_uses u JOIN events e "

@@ -41,7 +41,7 @@ async def run_notifier(
         try:
             notifier = stack.enter_context(make_notifier(settings, book, kernel.clock))
         except (LabosError, OSError) as error:
-            _log.error("nobody_is_told", why=str(error))
+            _log.error("nobody_is_notified", why=str(error))
             notifier = None
         if notifier is None:
             yield None
@@ -62,7 +62,7 @@ def make_notifier(settings: Settings, book: Book, clock: Clock) -> Iterator[Noti
     """A notifier that has not been started; None while another process notifies people."""
     lock = FileLock(settings.notifications.with_suffix(".lock"))
     if not lock.acquire(f"pid {os.getpid()}"):
-        _log.info("told_by_another_process", holder=lock.note())
+        _log.info("another_process_notifies", holder=lock.note())
         yield None
         return
     with ExitStack() as stack:

@@ -41,7 +41,7 @@ def verify_bundle(file: Path, trust: Trust) -> None:
     facts = {"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found}
     end_with_json(facts, int(bool(found.faults)))
     for part in found.parts:
-        show_lines(part.faults or (part.told,))
+        show_lines(part.faults or (part.result,))
     if found.faults:
         click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
         click.get_current_context().exit(1)

@@ -60,7 +60,7 @@ def command(where: Where) -> None:
     faults = sum(finding.state == "fault" for finding in found)
     end_with_json({"well": not faults, "findings": found}, FAILED if faults else DONE)
     for finding in found:
-        click.echo(f"{MARKS[finding.state]} {finding.told}")
+        click.echo(f"{MARKS[finding.state]} {finding.result}")
         if finding.remedy:
             click.echo(f"{' ' * 8}{finding.remedy}")
     warnings = sum(finding.state == "warning" for finding in found)
@@ -69,12 +69,12 @@ def command(where: Where) -> None:
         click.get_current_context().exit(FAILED)
 
 
-def _fail(part: str, told: str, remedy: str) -> DoctorFinding:
-    return DoctorFinding(part, "fault", told, remedy)
+def _fail(part: str, result: str, remedy: str) -> DoctorFinding:
+    return DoctorFinding(part, "fault", result, remedy)
 
 
-def _warn(part: str, told: str, remedy: str) -> DoctorFinding:
-    return DoctorFinding(part, "warning", told, remedy)
+def _warn(part: str, result: str, remedy: str) -> DoctorFinding:
+    return DoctorFinding(part, "warning", result, remedy)
 
 
 def _examine(where: Where) -> Iterator[DoctorFinding]:

@@ -199,7 +199,7 @@ def command(
         number = "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
         click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
     for part in parts:
-        show_lines(part.faults or (part.told,))
+        show_lines(part.faults or (part.result,))
     for other in more[1:]:
         click.echo(f"{other.journal} knows {other.knows}.")
     if nodes and not fault:

@@ -598,7 +598,7 @@ class NodeServer:
         except JournalError as error:
             await self._condition.fail(str(error))
 
-    # -- telling -----------------------------------------------------------------------------
+    # -- reporting ---------------------------------------------------------------------------
 
     def _reply(
         self, status: str, why: str = "", attempt: int = 0, outcome: Outcome | None = None

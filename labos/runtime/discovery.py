@@ -83,7 +83,7 @@ class Discovery:
                 self._kernel.submit(HearJournal(module, tuple(found)), str(module))
         except BusError as error:
             self._looked_for.pop(module, None)  # compared again with the next heartbeat
-            _log.info("journal_not_told", module=module, why=str(error))
+            _log.info("journal_not_read", module=module, why=str(error))
         except LabosError as error:
             _log.warning("discovery_not_written", module=module, why=str(error))
 

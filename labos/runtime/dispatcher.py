@@ -99,7 +99,7 @@ class Dispatcher(KernelPart):
         self._unacknowledged: set[ModuleName] = set()
         self._open_at: dict[ModuleName, dict[ActionId, int]] = {}
         self._by_person: set[str] = set()
-        self._telling: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
+        self._reporting: dict[ModuleName, dict[ActionId, asyncio.Task[None]]] = {}
         self._late: set[ActionId] = set()
         self._prompted = RateLimiter(kernel.clock, 0.1, 50)
         self.sent = 0
@@ -149,8 +149,8 @@ class Dispatcher(KernelPart):
     async def _send(self, event: ActionRequested, position: int) -> None:
         start = make_start(event, self._kernel.lab, position)
         self.sent += 1
-        if telling := self._telling.get(event.module):  # which has to be sent first
-            await asyncio.wait(list(telling.values()), timeout=SETTLED_S)
+        if reports := self._reporting.get(event.module):  # which has to be sent first
+            await asyncio.wait(list(reports.values()), timeout=SETTLED_S)
         reply = None
         self._starting[event.action] = (event.module, self._find_instance(event.module))
         try:
@@ -166,9 +166,9 @@ class Dispatcher(KernelPart):
     def report_settled(self, module: ModuleName, action: ActionId, *, done: bool) -> None:
         """Inform a node that a person has settled an action which may still run there; if this message is
         lost, the next heartbeat brings another one."""
-        telling = self._telling.setdefault(module, {})
-        if action not in telling:
-            telling[action] = self._spawn(self._report_settled(module, action, done))
+        reports = self._reporting.setdefault(module, {})
+        if action not in reports:
+            reports[action] = self._spawn(self._report_settled(module, action, done))
 
     async def _report_settled(self, module: ModuleName, action: ActionId, done: bool) -> None:
         args = {"action": action, "done": done}
@@ -176,12 +176,12 @@ class Dispatcher(KernelPart):
             request = AdminRequest(self._kernel.lab, self._kernel.epoch, "settled", args)
             await self._bus.query(self._keys.operation(module, "admin"), _encode(request), self._answer_s)
         except (BusError, StoreError) as error:
-            _log.info("not_told", module=module, action=action, why=str(error))
+            _log.info("settled_not_reported", module=module, action=action, why=str(error))
         finally:
-            telling = self._telling[module]
-            del telling[action]
-            if not telling:
-                del self._telling[module]
+            reports = self._reporting[module]
+            del reports[action]
+            if not reports:
+                del self._reporting[module]
 
     def find_out(self, action: ActionId) -> None:
         """Ask the node for the outcome of an action until it is known; only one question at a time. A node

@@ -46,11 +46,12 @@ State = Literal["ok", "warning", "fault"]
 
 
 class DoctorFinding(msgspec.Struct, frozen=True):
-    """One check. ``told`` is its result, ``remedy`` what to do (empty if all is well)."""
+    """One check. ``result`` is what was found, in a sentence; ``remedy`` is what to do (empty if all is
+    well)."""
 
     name: str
     state: State
-    told: str
+    result: str
     remedy: str = ""
 
 

@@ -31,12 +31,12 @@ _RESULT = frozenset({"file", "sha256", "bytes"})
 
 
 class VerifiedPart(msgspec.Struct, frozen=True):
-    """One part that was checked. ``checked`` is the number of checked things; ``told`` is the result in a
+    """One part that was checked. ``checked`` is the number of checked things; ``result`` is the result in a
     sentence; ``faults`` are the faults, and ``positions`` their positions in the log."""
 
     name: str
     checked: int
-    told: str
+    result: str
     faults: tuple[str, ...] = ()
     positions: tuple[int, ...] = ()
 

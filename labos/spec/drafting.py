@@ -341,7 +341,7 @@ def _is_taught(stations: Stations, file: WorkcellFile, module: str, place: str) 
     return any(_find(stations, taught, module) == place for taught in file.locations.get(module, {}))
 
 
-# -- what is told --------------------------------------------------------------------------------
+# -- what is reported ----------------------------------------------------------------------------
 
 
 def _warn_of_missing_driver(

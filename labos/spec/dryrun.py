@@ -106,9 +106,9 @@ class DryRunStep:
     def check_presence(self, what: Carrying, place: StationName) -> None:
         used = [piece for _, piece, _ in self._hauls if piece is not None]
         self._found[place] = self.paper.find_labware_at(self.index, place, used)
-        self._check_told_apart(what, place)
+        self._check_distinct_poses(what, place)
 
-    def _check_told_apart(self, what: Carrying, place: StationName) -> None:
+    def _check_distinct_poses(self, what: Carrying, place: StationName) -> None:
         """An arm moves to one pose: if several pieces are at a station, it takes any of them."""
         station = self.paper.stations[place]
         shelves = self.paper.stations.list_shelves(place)

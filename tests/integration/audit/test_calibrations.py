@@ -137,5 +137,5 @@ def test_modules_and_the_doctor_show_the_last_day(ask: Ask) -> None:
     findings = json.loads(ask("doctor", "--json"))["findings"]
     (found,) = (one for one in findings if one["name"] == "calibrations")
     assert found["state"] == "warning"
-    assert "camera_module has expired: it was valid until 2025-06-14" in found["told"]
-    assert "ot2_cp_gamma (volume) has expired: it was valid until 2025-12-31" in found["told"]
+    assert "camera_module has expired: it was valid until 2025-06-14" in found["result"]
+    assert "ot2_cp_gamma (volume) has expired: it was valid until 2025-12-31" in found["result"]

@@ -71,11 +71,11 @@ def test_certificates_that_end(lab: Lab) -> None:
     authority = Authority(lab.home / "pki")
     key = authority.credentials(PartyIdentity("viewer", "wall", "lab-1")).key
     key.chmod(0o644)
-    assert str(key) in findings(lab, code=1)["permissions"]["told"]
+    assert str(key) in findings(lab, code=1)["permissions"]["result"]
     key.chmod(0o600)
     admitted = authority.read_members().admitted
     told = check_certificates(authority, admitted[0].not_after - 30 * 86_400 * 10**9)
-    assert [(one.state, "viewer wall ends" in one.told) for one in told] == [("warning", True)]
+    assert [(one.state, "viewer wall ends" in one.result) for one in told] == [("warning", True)]
     told = check_certificates(authority, authority.find_end())
     assert [(one.name.split()[0], one.state) for one in told] == [
         ("certificate", "fault"),
@@ -94,8 +94,8 @@ def test_actions_that_take_longer_than_planned() -> None:
     slow = [Drift(ModuleName(f"rpl/m{n}"), "transfer", 14.0, 10.0) for n in range(7)]
     found = check_durations(slow)
     assert found.state == "warning"
-    assert found.told.startswith("rpl/m0.transfer takes 14 s, planned 10 s; ")
-    assert "2 more" in found.told
+    assert found.result.startswith("rpl/m0.transfer takes 14 s, planned 10 s; ")
+    assert "2 more" in found.result
     assert check_durations([]).state == "ok"
 
 
@@ -103,7 +103,7 @@ def test_actions_that_take_longer_than_planned() -> None:
 def test_what_others_may_read(lab: Lab) -> None:
     (lab.home / "labos.db").chmod(0o644)
     found = findings(lab, code=1)["permissions"]
-    assert "Others may read" in found["told"]
+    assert "Others may read" in found["result"]
     assert found["remedy"] == f"chmod -R go= {lab.home / 'labos.db'}"
 
 
@@ -114,7 +114,7 @@ def test_a_port_that_another_program_has(lab: Lab) -> None:
         port = other.getsockname()[1]
         remember_ports(lab.home, Ports(http=port))
         found = findings(lab, code=1)["ports"]
-    assert f"Another program listens on {port}" in found["told"]
+    assert f"Another program listens on {port}" in found["result"]
     assert found["remedy"].endswith("labos up --http-port PORT")
 
 
@@ -125,7 +125,7 @@ def test_a_kernel_that_was_killed(lab: Lab) -> None:
     )
     found = findings(lab)["kernel"]
     assert found["state"] == "warning"
-    assert "ended unexpectedly" in found["told"]
+    assert "ended unexpectedly" in found["result"]
 
 
 def test_a_database_that_cannot_be_reached(lab: Lab) -> None:
@@ -143,7 +143,7 @@ def test_a_file_that_is_no_database(lab: Lab) -> None:
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file"):
         check_sync(tmp_path / "none")
-    assert check_space(tmp_path).told.endswith(f"free on the disk of {tmp_path}.")
+    assert check_space(tmp_path).result.endswith(f"free on the disk of {tmp_path}.")
     assert check_permissions([tmp_path / "none"]).state == "ok"
 
 
@@ -168,7 +168,7 @@ def make_answer(answer: str = "IDLE", **checked: Any) -> dict[str, Any]:
 def test_what_nodes_answer(one: dict[str, Any], state: str, said: str) -> None:
     found = check_nodes([one], VERSION)[-1]
     assert found.state == state
-    assert said in found.told
+    assert said in found.result
     assert bool(found.remedy) == (state != "ok")
 
 
@@ -206,4 +206,6 @@ def test_the_owner_of_the_folder_looks_at_a_lab_with_users(
         code = main(["doctor", "--json", "--home", str(tmp_path / "lab")])
     assert code == 1, "it has no nodes, which is a fault"
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)["findings"]}
-    assert (found["kernel"]["state"], "log is at" in found["kernel"]["told"]) == ("ok", True), found["kernel"]
+    assert (found["kernel"]["state"], "log is at" in found["kernel"]["result"]) == ("ok", True), found[
+        "kernel"
+    ]

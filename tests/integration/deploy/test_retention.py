@@ -181,7 +181,7 @@ def test_how_long_ago_it_was_is_noted(tmp_path: Path) -> None:
     note_retention(tmp_path, "moved_at", 1)
     found = check_retention(tmp_path, LONG_AGO_NS + 1)
     assert found is not None
-    assert (found.state, "removed never" in found.told) == ("warning", True)
+    assert (found.state, "removed never" in found.result) == ("warning", True)
     note_retention(tmp_path, "removed_at", LONG_AGO_NS)
     states = [check_retention(tmp_path, LONG_AGO_NS + more) for more in (0, 2)]
     assert [one.state for one in states if one is not None] == ["ok", "warning"]

@@ -99,7 +99,7 @@ def test_a_backup_that_does_not_come_back(lab: Lab, backup: Path, tmp_path: Path
     segment.write_bytes(data)
     lab.ask("restore", str(backup), "--rehearse", code=1)
     assert not (lab.home / REHEARSAL).exists()
-    assert "as a test yet" in check_rehearsal(lab.home, 0).told
+    assert "as a test yet" in check_rehearsal(lab.home, 0).result
     assert list((tmp_path / "temporary").iterdir()) == []
 
 

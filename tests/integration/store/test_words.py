@@ -53,7 +53,7 @@ def test_words_come_and_go_with_their_events(store: SqlEventStore) -> None:
     assert find_first_damage(store) is None
     found = check_words(store)
     assert (found.faults, found.checked) == ((), 1)
-    assert "1 were erased" in found.told
+    assert "1 were erased" in found.result
 
 
 def test_a_batch_that_is_not_written_leaves_no_words(store: SqlEventStore) -> None:
