@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
 
 import click
 import msgspec
@@ -15,15 +14,15 @@ from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
+from labos.cli._verify_backup import report_backup
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
-from labos.core.state import hash_state
-from labos.errors import BadInput, LabosError, LogDamaged, Refused
+from labos.errors import LabosError
+from labos.node.journal import Memory
 from labos.private import create_file
 from labos.services.checkpoint import Checkpoint, find_contradiction, make_checkpoint, read_checkpoint
-from labos.services.journals import list_surplus
+from labos.services.journals import Surplus, list_surplus
 from labos.services.signatures import check_signatures
-from labos.services.times import iso_time
 from labos.services.trust.compare import CheckpointComparison, is_signed
 from labos.services.verification import (
     VerifiedPart,
@@ -35,18 +34,7 @@ from labos.services.verification import (
     check_snapshot,
 )
 from labos.services.words_check import check_words
-from labos.store import (
-    AccountsCopy,
-    Damage,
-    Progress,
-    SqlEventStore,
-    find_first_damage,
-    key_of,
-    open_blobs,
-    read_accounts_copy,
-    verify_backup,
-    verify_detached,
-)
+from labos.store import Damage, Progress, SqlEventStore, find_first_damage, key_of, open_blobs
 
 CAVEAT = (
     "The chain of hashes alone does not show that the end was cut off or that the whole log was rewritten: "
@@ -141,84 +129,102 @@ def command(
         verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa))
         return
     key = key_of(key_file) if key_file else b""
-    signed = file if file is not None and is_signed(file) else None
-    if signed is not None and export:
-        raise click.UsageError(f"{signed} is signed: use labos checkpoint for the next one, not --export.")
+    if export and file is not None and is_signed(file):
+        raise click.UsageError(f"{file} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
-        try:
-            if detached:
-                _verify_detached(folder, key)
-            else:
-                _verify_backup(folder, archive, key)
-        except LogDamaged as error:
-            _report_damage(error)
+        report_backup(folder, archive, key, detached=detached)
         return
     # The journals first: a request is in the log before its node receives it.
-    about_journals, nodes = check_journals(where.home / "journals") if journals else (None, {})
-    with open_database(where) as store:
-        seen = read_checkpoint(file) if file is not None and not signed and file.exists() else None
-        end = add_seal(make_checkpoint(store), key)
-        with _show_progress(wants_json()) as progress:
-            damage = find_first_damage(store, progress)
-        against = find_contradiction(store, seen) if seen is not None else ""
-        compared = None
-        if signed is not None and not damage:
-            compared = compare_signed(store, signed, where.home, public_keys)
-            against = compared.fault
-        parts = [] if damage else _list_other_parts(where, store)
-        if about_journals is not None:
-            parts.append(about_journals)
-        fault = f"Position {damage.position}: {damage.reason}." if damage else ""
-        if against and not fault:
-            fault = f"The log contradicts the checkpoint: {against}."
-        if seen is not None and (broken := check_seal(seen, key)):
-            fault = f"The checkpoint cannot be trusted: {broken}."
-        more = list_surplus(store, nodes) if nodes and not fault else []
-        if more and not fault:
-            fault = f"The nodes know more than the log: {more[0].journal} knows {more[0].knows}."
-        others = [part_fault for part in parts for part_fault in part.faults]
-        whole = not fault and not others
-        written = file is not None and not signed and whole and (seen is None or export)
-        if file is not None and written:
-            _write(file, end)
-    told = fault or f"{end.position} records in an unbroken chain."
-    head = VerifiedPart("log", damage.position if damage else end.position, told)
-    facts = {
-        "whole": whole,
-        "fault": fault or next(iter(others), ""),
-        "position": _find_first_position(damage, compared, parts),
-        "head": end,
-        "compared_with": seen or compared,
-        "parts": [head, *parts],
-        "journals": {name: [m.knows for m in more if m.journal == name] for name in nodes},
-        "checkpoint_written": written,
-    }
-    end_with_json(facts, int(not whole))
-    _report_log(fault, end, seen, file, written=written, signed=signed is not None)
-    if compared is not None and not fault:
-        number = "the signed checkpoint" if compared.number == 1 else f"{compared.number} signed checkpoints"
-        click.echo(f"It agrees with {number}, up to position {compared.agrees_to}.")
-    for part in parts:
+    part, nodes = check_journals(where.home / "journals") if journals else (None, {})
+    found = _check_log(where, file, key, public_keys, nodes)
+    found.parts.extend([part] if part is not None else [])
+    written = None
+    if found.is_whole and file is not None and not found.is_signed and (found.seen is None or export):
+        _write(file, found.end)
+        written = file
+    end_with_json(_list_facts(found, nodes, written), int(not found.is_whole))
+    _report_log(found, written)
+    for part in found.parts:
         show_lines(part.faults or (part.result,))
-    for other in more[1:]:
+    for other in found.surplus[1:]:
         click.echo(f"{other.journal} knows {other.knows}.")
-    if nodes and not fault:
+    if nodes and not found.fault:
         click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
     if not journals:
         click.echo("The nodes' journals were not checked (--journals).")
-    if not whole:
+    if not found.is_whole:
         click.get_current_context().exit(1)
 
 
-def _find_first_position(
-    damage: Damage | None, compared: CheckpointComparison | None, parts: list[VerifiedPart]
-) -> int | None:
-    """The first position of the log with a fault; None if there is none."""
-    if damage is not None:
-        return damage.position
-    if compared is not None and compared.fault:
-        return compared.position
-    return next((at for part in parts for at in part.positions), None)
+class LogCheck(msgspec.Struct):
+    """What the checks found. ``end``: the end of the log. ``seen`` or ``signed``: what the log was compared
+    with. ``damage``: the first damage of the chain. ``fault``: the most important fault of the log, in one
+    sentence; empty if there is none. ``parts``: the parts beside the chain. ``surplus``: what the nodes know
+    and the log does not."""
+
+    end: Checkpoint
+    seen: Checkpoint | None = None
+    is_signed: bool = False
+    signed: CheckpointComparison | None = None
+    damage: Damage | None = None
+    fault: str = ""
+    parts: list[VerifiedPart] = []
+    surplus: list[Surplus] = []
+
+    @property
+    def first_fault(self) -> str:
+        return self.fault or next((fault for part in self.parts for fault in part.faults), "")
+
+    @property
+    def is_whole(self) -> bool:
+        return not self.first_fault
+
+    @property
+    def first_position(self) -> int | None:
+        """The first position of the log with a fault; None if there is none."""
+        if self.damage is not None:
+            return self.damage.position
+        if self.signed is not None and self.signed.fault:
+            return self.signed.position
+        return next((at for part in self.parts for at in part.positions), None)
+
+
+def _check_log(
+    where: Where, file: Path | None, key: bytes, public_keys: Sequence[str], nodes: dict[str, Memory]
+) -> LogCheck:
+    """Check the chain and the parts beside it, compare them with the checkpoints in ``file`` and the nodes'
+    journals."""
+    with open_database(where) as store:
+        found = LogCheck(add_seal(make_checkpoint(store), key))
+        found.is_signed = file is not None and is_signed(file)
+        if file is not None and not found.is_signed and file.exists():
+            found.seen = read_checkpoint(file)
+        with _show_progress(wants_json()) as progress:
+            found.damage = find_first_damage(store, progress)
+        if found.damage is None:
+            if file is not None and found.is_signed:
+                found.signed = compare_signed(store, file, where.home, public_keys)
+            found.parts = _list_other_parts(where, store)
+        found.fault = _find_fault(store, found, key)
+        if nodes and not found.fault:
+            found.surplus = list_surplus(store, nodes)
+        if found.surplus:
+            first = found.surplus[0]
+            found.fault = f"The nodes know more than the log: {first.journal} knows {first.knows}."
+    return found
+
+
+def _find_fault(store: SqlEventStore, found: LogCheck, key: bytes) -> str:
+    """The most important fault of the chain and of what it is compared with; empty if there is none."""
+    seen = found.seen
+    if seen is not None and (broken := check_seal(seen, key)):
+        return f"The checkpoint cannot be trusted: {broken}."
+    if found.damage is not None:
+        return f"Position {found.damage.position}: {found.damage.reason}."
+    against = found.signed.fault if found.signed is not None else ""
+    if seen is not None:
+        against = find_contradiction(store, seen)
+    return f"The log contradicts the checkpoint: {against}." if against else ""
 
 
 def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
@@ -242,9 +248,26 @@ def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     return found
 
 
-def _report_log(
-    fault: str, end: Checkpoint, seen: Checkpoint | None, file: Path | None, *, written: bool, signed: bool
-) -> None:
+def _list_facts(found: LogCheck, nodes: Iterable[str], written: Path | None) -> dict[str, object]:
+    """What ``--json`` prints."""
+    end, damage = found.end, found.damage
+    result = found.fault or f"{end.position} records in an unbroken chain."
+    head = VerifiedPart("log", damage.position if damage else end.position, result)
+    surplus = {name: [more.knows for more in found.surplus if more.journal == name] for name in nodes}
+    return {
+        "whole": found.is_whole,
+        "fault": found.first_fault,
+        "position": found.first_position,
+        "head": end,
+        "compared_with": found.seen or found.signed,
+        "parts": [head, *found.parts],
+        "journals": surplus,
+        "checkpoint_written": written is not None,
+    }
+
+
+def _report_log(found: LogCheck, written: Path | None) -> None:
+    end, seen, fault = found.end, found.seen, found.fault
     if fault:
         click.echo(f"The log is damaged. {fault}" if fault.startswith("Position") else fault)
         click.echo("Do not change this log. Restore a backup.")
@@ -253,77 +276,14 @@ def _report_log(
     click.echo(f"Lab {end.lab}, head position {end.position}, head hash {end.hash}, last event {end.time}")
     if seen is not None and not fault:
         click.echo(f"It agrees with the checkpoint of {seen.time} at position {seen.position}.")
-    if written:
-        click.echo(f"The checkpoint was written to {file}.")
-    elif seen is None and not fault and not signed:
+    if written is not None:
+        click.echo(f"The checkpoint was written to {written}.")
+    elif seen is None and not fault and not found.is_signed:
         click.echo(CAVEAT)
-
-
-def _verify_backup(folder: Path, archive: Path | None, key: bytes) -> None:
-    """Raises LogDamaged."""
-    found, state = verify_backup(folder, key=key, archive=archive)
-    people = _accounts_of(folder, found.lab, key)
-    facts = {"whole": True, "backup": found, "state": hash_state(state), "accounts": _count_accounts(people)}
-    end_with_json(facts)
-    end = iso_time(found.segments[-1].recorded_at)
-    click.echo(
-        f"The backup is intact: {found.position} records in {len(found.segments)} segments, "
-        f"{len(found.blobs)} blobs{', all seals valid' if key else ''}."
-    )
-    click.echo(f"Lab {found.lab}, position {found.position}, hash {found.hash}, last event {end}")
-    click.echo(f"State {hash_state(state)}")
-    _report_accounts(people)
-
-
-def _accounts_of(folder: Path, lab: str, key: bytes) -> AccountsCopy | None:
-    """The accounts in a backup; None if it has none. Raises LogDamaged for accounts that `labos restore`
-    would refuse."""
-    try:
-        return read_accounts_copy(folder, lab, key)
-    except (BadInput, Refused) as error:
-        raise LogDamaged(error.message, position=0, remedy=error.remedy) from None
-
-
-def _count_accounts(people: AccountsCopy | None) -> dict[str, int] | None:
-    return None if people is None else {"users": people.users, "copied_at": people.copied_at}
-
-
-def _report_accounts(people: AccountsCopy | None) -> None:
-    if people is None:
-        click.echo("It contains no accounts of users.")
-    else:
-        click.echo(f"The accounts of {people.users} users are intact, as of {iso_time(people.copied_at)}.")
-
-
-def _report_damage(error: LogDamaged) -> NoReturn:
-    end_with_json({"whole": False, "fault": error.message, "position": error.position}, 1)
-    click.echo(f"The backup is damaged. {error}")
-    click.get_current_context().exit(1)
-
-
-def _verify_detached(folder: Path, key: bytes) -> None:
-    """Raises LogDamaged."""
-    found = verify_detached(folder, key=key)
-    people = _accounts_of(folder, found.lab, key)
-    end_with_json({"whole": True, "detached": found, "accounts": _count_accounts(people)})
-    first, last = found.segments[0], found.segments[-1]
-    seals = ", all seals valid" if found.sealed else ""
-    absent = f" ({found.blobs_absent} are elsewhere)" if found.blobs_absent else ""
-    click.echo(
-        f"The backup is intact from position {first.first} on: {found.records} records in "
-        f"{len(found.segments)} segments, {found.blobs} blobs{absent}{seals}."
-    )
-    if found.absent:
-        vouched = "the seal" if found.sealed else "the manifest, which is not protected without a seal"
-        click.echo(
-            f"It continues position {found.after} with the hash {found.before}, according to {vouched}. "
-            f"Elsewhere: {', '.join(segment.file for segment in found.absent)}."
-        )
-    click.echo(
-        f"Lab {found.lab}, position {last.last}, hash {last.hash}, last event {iso_time(last.recorded_at)}"
-    )
-    click.echo("The state was not computed: this needs all segments from position 1 on.")
-    _report_accounts(people)
+    if found.signed is not None and not fault:
+        count = found.signed.number
+        number = "the signed checkpoint" if count == 1 else f"{count} signed checkpoints"
+        click.echo(f"It agrees with {number}, up to position {found.signed.agrees_to}.")
 
 
 def _write(file: Path, end: Checkpoint) -> None:
