@@ -24,8 +24,9 @@ STEP_S = 5
 def search(
     problem: Problem, hint: Times, seconds: float, step_s: float = STEP_S
 ) -> tuple[Times | None, float]:
-    """The best schedule that keeps all windows found in so many seconds, and the least that any can take. In
-    both, durations are rounded down to ``step_s``, and windows are rounded up."""
+    """The best schedule that keeps all windows found in so many seconds, and the least that any can take
+    (infinite if none keeps all windows). In both, durations are rounded down to ``step_s``, and windows are
+    rounded up."""
     from ortools.sat.python import cp_model
 
     model = cp_model.CpModel()
@@ -78,7 +79,7 @@ def search(
     status = solver.solve(model)
     bound = solver.best_objective_bound * step_s
     if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-        return None, bound
+        return None, math.inf if status == cp_model.INFEASIBLE else bound
     starts = [solver.value(start) * step_s for start in begin]
     return {n: (float(s), s + tasks[n].duration_s) for n, s in enumerate(starts)}, bound
 
