@@ -142,8 +142,6 @@ class Adviser:
         if run.has_started and run.status != RunStatus.ACTIVE:
             return None
         mine = advice.starts.get((run.id, step), LAST)
-        urgent = is_urgent(state, run, now)
-        goes_first = urgent or run.priority > advice.least
         is_own = advice.order.by in (OWN, OWN_WINDOWS)
         follows = follows_order is not None and advice.order.by == OWN_WINDOWS and follows_order()
         if advice.order.by == OWN_WINDOWS and _has_clock(state, run) and not follows:
@@ -153,39 +151,26 @@ class Adviser:
             return None
         waits_outside = not run.has_started and (advice.order.by == OWN_WINDOWS or run.id in advice.kept_out)
         starts_clock = bool(list_clocked(state.runs.plans[run.plan], step))
+        goes_first = run.priority > advice.least or is_urgent(state, run, now)
         if now < mine < LAST and not goes_first and (waits_outside or starts_clock):
             if (is_own or waits_outside) and self._has_waited_enough(state, run, step, now):
                 return None
             later = reasons.LaterHere if is_own or waits_outside else reasons.ClockLater
             why_later = later(plan.steps[step].key, in_zone(mine, "UTC"))
             return Wait(why_later, (cell_key(plan.workcell),), min(mine, last))
-        for resource in _list_resources(state, plan.steps[step]):
-            # The lab's own orders name all steps that should start soon. Other steps come after them.
-            before = mine if mine < LAST or is_own else _find_release(state, plan, step, resource, now)
-            for one in advice.by_resource.get(resource, ()):
-                if one.start >= before:
-                    break
-                until = min(one.start + convert_lab_s(state, GRACE_S), advice.order.until)
-                if one.run == run.id or until < now:
-                    continue
-                other = state.runs.get(one.run)
-                if other is None or not is_pending(other, one.step) or find_holds(other):
-                    continue
-                if other.has_started and other.status != RunStatus.ACTIVE:
-                    continue
-                if run.priority > other.priority or (urgent and not is_urgent(state, other, now)):
-                    continue
-                if self._has_waited_enough(state, run, step, now):
-                    return None
-                enough = self._since[run.id, step] + convert_lab_s(state, MOST_S)
-                why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
-                again, until = self.own.goes_on_at(plan.workcell), min(until, enough, last - 1) + 1
-                return Wait(
-                    why(str(other.id), split_key(resource)[1]),
-                    (cell_key(plan.workcell),),
-                    until if again is None else min(until, again),
-                )
-        return None
+        found = _find_step_before(state, run, step, advice, now)
+        if found is None or self._has_waited_enough(state, run, step, now):
+            return None
+        first, resource = found
+        enough = self._since[run.id, step] + convert_lab_s(state, MOST_S)
+        until = min(_find_end_of_grace(state, advice, first), enough, last - 1) + 1
+        again = self.own.goes_on_at(plan.workcell)
+        why = reasons.SoonerAfter if is_own else reasons.AfterSuggested
+        return Wait(
+            why(str(first.run), split_key(resource)[1]),
+            (cell_key(plan.workcell),),
+            until if again is None else min(until, again),
+        )
 
     def _has_waited_enough(self, state: LabState, run: RunState, step: int, now: int) -> bool:
         """Whether a step has waited for orders longer than ``MOST_S``. The first call notes the time."""
@@ -272,6 +257,44 @@ def bring_forward(
         run = state.runs.active.get(name)
         found[name, step] = at if run is None else min(at, max(now, find_last_start(state, run, step)))
     return found
+
+
+def _find_step_before(
+    state: LabState, run: RunState, step: int, advice: OrderLookup, now: int
+) -> tuple[Suggested, str] | None:
+    """The first step of an order for which a step waits, and the key of what both need. None if there is
+    none."""
+    plan = state.runs.plan_of(run)
+    mine = advice.starts.get((run.id, step), LAST)
+    # The lab's own orders name all steps that should start soon. Other steps come after them.
+    is_named = mine < LAST or advice.order.by in (OWN, OWN_WINDOWS)
+    for resource in _list_resources(state, plan.steps[step]):
+        before = mine if is_named else _find_release(state, plan, step, resource, now)
+        for one in advice.by_resource.get(resource, ()):
+            if one.start >= before:
+                break
+            is_late = _find_end_of_grace(state, advice, one) < now
+            if one.run != run.id and not is_late and _goes_before(state, one, run, now):
+                return one, resource
+    return None
+
+
+def _goes_before(state: LabState, one: Suggested, run: RunState, now: int) -> bool:
+    """Whether a suggested step may still go before a run's step: it can start, and its run does not rank
+    lower."""
+    other = state.runs.get(one.run)
+    if other is None or not is_pending(other, one.step) or find_holds(other):
+        return False
+    if other.has_started and other.status != RunStatus.ACTIVE:
+        return False
+    if run.priority > other.priority:
+        return False
+    return is_urgent(state, other, now) or not is_urgent(state, run, now)
+
+
+def _find_end_of_grace(state: LabState, advice: OrderLookup, one: Suggested) -> int:
+    """Until when others wait for a suggested step (UTC ns)."""
+    return min(one.start + convert_lab_s(state, GRACE_S), advice.order.until)
 
 
 def _has_clock(state: LabState, run: RunState) -> bool:
