@@ -316,10 +316,10 @@ def test_a_module_that_does_not_answer_settled_delays_only_itself(tmp_path: Path
             lab.dispatcher.report_settled(ARM, ActionId("gone"), done=True)
             await lab.kernel.execute(SubmitRun(plan(step("other")), "ada"), "ada")
             await until(lambda: lab.is_over("R1"), 10.0)
-            assert lab.dispatcher._telling, "it was still being told"
+            assert lab.dispatcher._reporting, "it was still being told"
             await lab.kernel.execute(SubmitRun(plan(step("arm")), "ada"), "ada")
             await until(lambda: bool(liar.heard), 10.0)
-            assert lab.dispatcher._telling, "a start on the module itself waits for a moment only"
+            assert lab.dispatcher._reporting, "a start on the module itself waits for a moment only"
             liar.settles.set()
 
     asyncio.run(main())
