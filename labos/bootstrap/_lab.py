@@ -51,7 +51,7 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.kernel_log import KernelSettings, OnEvents
 from labos.runtime.log_check import LogCheck
 from labos.runtime.writer import ThreadWriter
-from labos.services.journals import find_unreported, refuse_lost_log
+from labos.services.journals import find_unlogged, refuse_lost_log
 from labos.settings import (
     KernelInfo,
     Ports,
@@ -123,7 +123,7 @@ async def open_lab(
         if 0 < ended < known:  # a new lab in an old folder has lost nothing
             kernel.submit(ReportShorterLog(known, "the note in the lab's folder", ended), "labos")
         # Before anything can start: the journals may have actions that the log does not have.
-        for module, found, beyond in find_unreported(store, settings.journals):
+        for module, found, beyond in find_unlogged(store, settings.journals):
             kernel.submit(HearJournal(module, tuple(found), beyond), str(module))
         # The next start does not ask about the same loss again.
         kernel.listeners.append(OnEvents((BenchCompared,), lambda _: store.accept_end()))

@@ -14,7 +14,7 @@ from labos.services.times import iso_time
 from labos.store import AccountsCopy, read_accounts_copy, verify_backup, verify_detached
 
 
-def report_backup(folder: Path, archive: Path | None, key: bytes, *, detached: bool) -> None:
+def check_backup(folder: Path, archive: Path | None, key: bytes, *, detached: bool) -> None:
     """Check a backup and report the result; exit code 1 if it is damaged. ``archive`` has the segments that
     were moved there. ``detached``: the first segments are missing because they are kept elsewhere."""
     try:

@@ -14,7 +14,7 @@ from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, open_database
 from labos.cli._signed import compare_signed, trust_of, verify_bundle
-from labos.cli._verify_backup import report_backup
+from labos.cli._verify_backup import check_backup
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
 from labos.errors import LabosError
@@ -132,17 +132,17 @@ def command(
     if export and file is not None and is_signed(file):
         raise click.UsageError(f"{file} is signed: use labos checkpoint for the next one, not --export.")
     if folder is not None:
-        report_backup(folder, archive, key, detached=detached)
+        check_backup(folder, archive, key, detached=detached)
         return
     # The journals first: a request is in the log before its node receives it.
     part, nodes = check_journals(where.home / "journals") if journals else (None, {})
-    found = _check_log(where, file, key, public_keys, nodes)
+    found = _verify_log(where, file, key, public_keys, nodes)
     found.parts.extend([part] if part is not None else [])
     written = None
-    if found.is_whole and file is not None and not found.is_signed and (found.seen is None or export):
+    if found.is_intact and file is not None and found.signed is None and (found.seen is None or export):
         _write(file, found.end)
         written = file
-    end_with_json(_list_facts(found, nodes, written), int(not found.is_whole))
+    end_with_json(_list_facts(found, nodes, written), int(not found.is_intact))
     _report_log(found, written)
     for part in found.parts:
         show_lines(part.faults or (part.result,))
@@ -152,19 +152,18 @@ def command(
         click.echo(f"The journals of {len(nodes)} nodes contain nothing that the log lacks.")
     if not journals:
         click.echo("The nodes' journals were not checked (--journals).")
-    if not found.is_whole:
+    if not found.is_intact:
         click.get_current_context().exit(1)
 
 
-class LogCheck(msgspec.Struct):
-    """What the checks found. ``end``: the end of the log. ``seen`` or ``signed``: what the log was compared
-    with. ``damage``: the first damage of the chain. ``fault``: the most important fault of the log, in one
-    sentence; empty if there is none. ``parts``: the parts beside the chain. ``surplus``: what the nodes know
-    and the log does not."""
+class VerifiedLog(msgspec.Struct):
+    """What the checks found. ``end``: the end of the log. ``seen``: the checkpoint with which the log was
+    compared, or ``signed``: its comparison with signed ones. ``damage``: the first damage of the chain.
+    ``fault``: the most important fault of the log, in one sentence; empty if there is none. ``parts``: the
+    parts beside the chain. ``surplus``: what the nodes know and the log does not."""
 
     end: Checkpoint
     seen: Checkpoint | None = None
-    is_signed: bool = False
     signed: CheckpointComparison | None = None
     damage: Damage | None = None
     fault: str = ""
@@ -173,10 +172,11 @@ class LogCheck(msgspec.Struct):
 
     @property
     def first_fault(self) -> str:
+        """The fault of the log, else the first one of a part; empty if there is none."""
         return self.fault or next((fault for part in self.parts for fault in part.faults), "")
 
     @property
-    def is_whole(self) -> bool:
+    def is_intact(self) -> bool:
         return not self.first_fault
 
     @property
@@ -189,21 +189,21 @@ class LogCheck(msgspec.Struct):
         return next((at for part in self.parts for at in part.positions), None)
 
 
-def _check_log(
+def _verify_log(
     where: Where, file: Path | None, key: bytes, public_keys: Sequence[str], nodes: dict[str, Memory]
-) -> LogCheck:
+) -> VerifiedLog:
     """Check the chain and the parts beside it, compare them with the checkpoints in ``file`` and the nodes'
     journals."""
     with open_database(where) as store:
-        found = LogCheck(add_seal(make_checkpoint(store), key))
-        found.is_signed = file is not None and is_signed(file)
-        if file is not None and not found.is_signed and file.exists():
+        found = VerifiedLog(add_seal(make_checkpoint(store), key))
+        signed = file if file is not None and is_signed(file) else None
+        if file is not None and signed is None and file.exists():
             found.seen = read_checkpoint(file)
         with _show_progress(wants_json()) as progress:
             found.damage = find_first_damage(store, progress)
         if found.damage is None:
-            if file is not None and found.is_signed:
-                found.signed = compare_signed(store, file, where.home, public_keys)
+            if signed is not None:
+                found.signed = compare_signed(store, signed, where.home, public_keys)
             found.parts = _list_other_parts(where, store)
         found.fault = _find_fault(store, found, key)
         if nodes and not found.fault:
@@ -214,7 +214,7 @@ def _check_log(
     return found
 
 
-def _find_fault(store: SqlEventStore, found: LogCheck, key: bytes) -> str:
+def _find_fault(store: SqlEventStore, found: VerifiedLog, key: bytes) -> str:
     """The most important fault of the chain and of what it is compared with; empty if there is none."""
     seen = found.seen
     if seen is not None and (broken := check_seal(seen, key)):
@@ -248,14 +248,14 @@ def _list_other_parts(where: Where, store: SqlEventStore) -> list[VerifiedPart]:
     return found
 
 
-def _list_facts(found: LogCheck, nodes: Iterable[str], written: Path | None) -> dict[str, object]:
+def _list_facts(found: VerifiedLog, nodes: Iterable[str], written: Path | None) -> dict[str, object]:
     """What ``--json`` prints."""
     end, damage = found.end, found.damage
     result = found.fault or f"{end.position} records in an unbroken chain."
     head = VerifiedPart("log", damage.position if damage else end.position, result)
     surplus = {name: [more.knows for more in found.surplus if more.journal == name] for name in nodes}
     return {
-        "whole": found.is_whole,
+        "whole": found.is_intact,
         "fault": found.first_fault,
         "position": found.first_position,
         "head": end,
@@ -266,7 +266,7 @@ def _list_facts(found: LogCheck, nodes: Iterable[str], written: Path | None) -> 
     }
 
 
-def _report_log(found: LogCheck, written: Path | None) -> None:
+def _report_log(found: VerifiedLog, written: Path | None) -> None:
     end, seen, fault = found.end, found.seen, found.fault
     if fault:
         click.echo(f"The log is damaged. {fault}" if fault.startswith("Position") else fault)
@@ -278,7 +278,7 @@ def _report_log(found: LogCheck, written: Path | None) -> None:
         click.echo(f"It agrees with the checkpoint of {seen.time} at position {seen.position}.")
     if written is not None:
         click.echo(f"The checkpoint was written to {written}.")
-    elif seen is None and not fault and not found.is_signed:
+    elif seen is None and not fault and found.signed is None:
         click.echo(CAVEAT)
     if found.signed is not None and not fault:
         count = found.signed.number

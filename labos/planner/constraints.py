@@ -15,7 +15,7 @@ from labos.planner.measure import GOES_ON
 from labos.planner.problem import SchedulingProblem, SetupCosts, Task, TimeLag
 from labos.planning.waiting import PATIENCE
 
-FIRST = 8
+WEIGHT_OF_RANK = 8
 """The weight of a run's end for each class before which the run goes, and of each second after its campaign's
 deadline."""
 
@@ -72,7 +72,7 @@ class ScheduleModel:
         cost = (
             self._whole
             + GOES_ON * goes_on
-            + FIRST * (first + sum(overdue))
+            + WEIGHT_OF_RANK * (first + sum(overdue))
             + sum(own_overdue)
             + 4 * self._horizon * sum(self._missed)
         )
@@ -206,7 +206,7 @@ class ScheduleModel:
         return [self.cp.new_fixed_size_interval_var(b, e - b, f"shut{n}") for n, (b, e) in enumerate(found)]
 
 
-def misses_any(hint: Mapping[int, float], tasks: Sequence[Task]) -> bool:
+def misses_window(hint: Mapping[int, float], tasks: Sequence[Task]) -> bool:
     """Whether a known schedule misses a window, or lacks a task that has one."""
     return any(
         number not in hint or _is_late(hint, number, lag, tasks)

@@ -79,9 +79,9 @@ def _search(
     mean as much as the end of all, or less."""
     from ortools.sat.python import cp_model
 
-    from labos.planner.constraints import ScheduleModel, misses_any
+    from labos.planner.constraints import ScheduleModel, misses_window
 
-    keeps_all = bool(hint) and not may_miss and not misses_any(hint, problem.tasks)
+    keeps_all = bool(hint) and not may_miss and not misses_window(hint, problem.tasks)
     model = ScheduleModel(problem, hint, keeps_all=keeps_all)
     model.minimize_ends(tidy=tidy)
     solver = cp_model.CpSolver()

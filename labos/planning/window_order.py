@@ -103,7 +103,7 @@ class CellSearch(msgspec.Struct):
     seen: object = None
     """The progress of the runs inside when a run was late last."""
     progress: object = None
-    """The progress of the runs inside at the last search."""
+    """How far the runs inside were at the last search, and whether they were paused."""
     looked: int = 0
     """The time of the last search (UTC ns)."""
     tried: int = 0
@@ -198,6 +198,7 @@ class WindowOrders:
         tries = min(MOST_TRIES, TRIES_EACH * len(waiting))
         suggested = state.suggestions.find_line(cell, now)
         is_new, search.suggested = suggested != search.suggested, suggested
+        # While a run is paused there is no order: the line is kept for the first search after the pause.
         hint = suggested if is_new or search.line is None else ()
         progress = tuple((run.status, find_holds(run), *run.statuses) for run in inside)
         if known == members and not (is_new and suggested):

@@ -70,7 +70,7 @@ def list_surplus(log: Log, journals: dict[str, Memory]) -> list[Surplus]:
     return found
 
 
-def find_unreported(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundAction], int]]:
+def find_unlogged(log: Log, folder: Path) -> list[tuple[ModuleName, list[FoundAction], int]]:
     """The entries of the journals in a folder that the log of their lab does not have, by module: actions,
     and the position up to which the journal was acknowledged (0: the log is at least as long). Damaged
     journals are left out, as their nodes refuse to start."""
