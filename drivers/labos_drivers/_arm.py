@@ -44,7 +44,7 @@ class Arm(Simulated):
                     # The bench takes the turn of the plate into account at the target.
                     self.world.grip(self.name, self.place(regrip), grips[0])
             self.world.enter(self.name, self.place(target))
-            self._let_go(target, grips[1], slip)
+            self._release_plate(target, grips[1], slip)
             await self.take_time(0.3 * usual_s)
 
     async def pick(self, source: str) -> None:
@@ -64,7 +64,7 @@ class Arm(Simulated):
             slip = self.draw_mishap()
             self.world.enter(self.name, self.place(target))
             await self.take_time(0.3 * self.transfer_s)
-            self._let_go(target, slip=slip)
+            self._release_plate(target, slip=slip)
             await self.take_time(0.3 * self.transfer_s)
 
     async def remove_lid(self, plate_at: str, nest: str, regrip: str = "") -> None:
@@ -94,7 +94,7 @@ class Arm(Simulated):
         if slip == "drops":
             self.world.drop(self.name)
 
-    def _let_go(self, target: str, how: str = "", slip: str = "") -> None:
+    def _release_plate(self, target: str, how: str = "", slip: str = "") -> None:
         if slip == "drops":
             self.world.drop(self.name)
         if slip:

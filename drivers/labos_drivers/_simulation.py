@@ -107,7 +107,7 @@ class Simulated(Refusing):
             if self.world.is_shut(place):
                 self.world.gate(self.name, place, shut=False)
 
-    def shut_at_first(self, *places: str) -> None:
+    def shut_at_start(self, *places: str) -> None:
         """Shut these places, as shipped. Does nothing if the device has opened or shut a place before."""
         moved = (motion for verb in ("open", "shut") for motion in self.world.motions(verb))
         if not any(motion.device == self.name for motion in moved):

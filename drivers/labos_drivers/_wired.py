@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 from labos.errors import DeviceError, LinkError, WrongDevice
 from labos.link.life import Life
-from labos.node import Setup, see_unit, under_way
+from labos.node import Setup, check_unit, motion_begun
 from labos.node.torture import WiredDevice
 from labos.node.worker import Worker
 from labos_drivers._limits import read_deadlines
@@ -68,7 +68,7 @@ class Wired(Refusing):
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
     deadlines: ClassVar[tuple[str, ...]] = ()
     link: Life
-    under_way = staticmethod(under_way)
+    motion_begun = staticmethod(motion_begun)
 
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         self.name = setup.name
@@ -85,10 +85,10 @@ class Wired(Refusing):
         assert deadline in self.deadlines, deadline
         return self._deadlines.get(deadline, usual_s)
 
-    def see_unit(self, serial: Any) -> None:
+    def check_unit(self, serial: Any) -> None:
         """Check the serial number that the device has reported; called at each connection. Raises
         WrongDevice, NotConnected."""
-        see_unit(self._setup, serial)
+        check_unit(self._setup, serial)
 
     def note_firmware(self, version: Any) -> None:
         """Store the firmware version that the device has reported; called at each connection."""
@@ -229,7 +229,7 @@ class ReportsTrouble(OnBenchOrWire):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self._reported = self._said_before = ""
+        self._reported = self._last_trouble = ""
 
     async def trouble(self) -> str:
         if not isinstance(self.device, Wired):
@@ -238,7 +238,7 @@ class ReportsTrouble(OnBenchOrWire):
             now = await self.device.trouble()
         except DeviceError:
             return self._reported
-        self._reported, self._said_before = (now if now == self._said_before else ""), now
+        self._reported, self._last_trouble = (now if now == self._last_trouble else ""), now
         return self._reported
 
 

@@ -99,7 +99,7 @@ class UaChannels(Channels):
                 self._client = None
                 for changed in self._watched.values():
                     changed(None)
-                await _let_go(client)
+                await _disconnect(client)
             await asyncio.sleep(RETRY_S)
 
     async def _subscribe(self, client: Any) -> None:
@@ -151,11 +151,11 @@ class UaChannels(Channels):
             await asyncio.wait_for(self._open(client), READ_S)
             send = await asyncio.wait_for(self._prepare(client, name, value, on), READ_S)
         except (OSError, TimeoutError) as error:
-            await _let_go(client)
+            await _disconnect(client)
             why = f"{self._url} does not answer ({_error_text(error, READ_S)}); nothing was sent to {name}."
             raise DeviceError(why, effects="none") from error
         except (TypeError, ValueError, self._ua.UaError) as error:
-            await _let_go(client)
+            await _disconnect(client)
             why = f"{self._url}: {name} does not accept {value!r} ({_error_text(error, READ_S)})."
             raise DeviceError(why, effects="none") from error
         try:
@@ -168,7 +168,7 @@ class UaChannels(Channels):
             raise NoResponse(f"{self._url}: {name}: {_error_text(error, LONGEST_S)}") from error
         finally:
             # A caller that gives up does not wait for the end of the put; closing the adapter does.
-            leaving = asyncio.create_task(_let_go(client))
+            leaving = asyncio.create_task(_disconnect(client))
             self._leaving.add(leaving)
             leaving.add_done_callback(self._leaving.discard)
             await asyncio.shield(leaving)
@@ -215,7 +215,7 @@ class UaChannels(Channels):
         return ChannelReading(value, label, severity)
 
 
-async def _let_go(client: Any) -> None:
+async def _disconnect(client: Any) -> None:
     """Close a connection that may be broken."""
     with contextlib.suppress(Exception):
         await asyncio.wait_for(client.disconnect(), READ_S)

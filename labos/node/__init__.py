@@ -20,10 +20,10 @@ from labos.core.effects import (
 from labos.core.model import Station
 from labos.errors import Collision, DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
-from labos.node.motion import under_way
+from labos.node.motion import motion_begun
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.torture import Case, Fault, Foreign, Hardware, Torture
-from labos.node.unit import see_unit
+from labos.node.unit import check_unit
 from labos.node.world import Crash, World
 
 __all__ = [
@@ -60,7 +60,7 @@ __all__ = [
     "Unlid",
     "World",
     "action",
+    "check_unit",
     "current_action",
-    "see_unit",
-    "under_way",
+    "motion_begun",
 ]

@@ -37,13 +37,13 @@ async def claim(
         if others.has_earlier_claim():
             raise _make_name_taken_error(module)
     except TimeoutError:
-        _let_go(held)
+        _close_handles(held)
         raise _make_name_taken_error(module) from None
     except BaseException:
-        _let_go(held)
+        _close_handles(held)
         raise
     finally:
-        _let_go(watches)
+        _close_handles(watches)
     held.pop(0).close()
     return held[0]
 
@@ -92,7 +92,7 @@ class _Others:
         self._changed.set()
 
 
-def _let_go(handles: list[Handle]) -> None:
+def _close_handles(handles: list[Handle]) -> None:
     for handle in handles:
         handle.close()
 

@@ -9,7 +9,7 @@ from labos.errors import DeviceError
 
 
 @contextmanager
-def under_way() -> Iterator[None]:
+def motion_begun() -> Iterator[None]:
     """A motion has begun: after any later error it is unknown whether something moved. A link that fails
     before a request only knows about that request."""
     try:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from labos.node.node import Setup
 
 
-def see_unit(setup: Setup, serial: Any) -> None:
+def check_unit(setup: Setup, serial: Any) -> None:
     """Compare the serial number that a device reports (empty or None if it reports none) with the pinned one;
     called at each connection. The first serial number is stored. A simulated device is not checked. Raises
     WrongDevice for another unit, NotConnected if the pinned number cannot be read or stored."""

@@ -170,20 +170,20 @@ class VirtualLab:
             run = self.state.runs.queued.get(RunId(getattr(event, "run", "")))
             if run is not None and run.id not in self.play.users:
                 self._note(run)
-            self._let_go_on(run)
+            self._release_run(run)
             self._open(self.state.campaigns.open.get(CampaignId(getattr(event, "campaign", ""))))
         return answer
 
     def approve(self, subject: str) -> None:
         """Approve a submission, or an amendment of a campaign, that waits for an approval."""
         proposal = self.state.approvals.open.pop(subject, None)
-        self._let_go_on(self.state.runs.queued.get(RunId(subject)))
+        self._release_run(self.state.runs.queued.get(RunId(subject)))
         campaign = self.state.campaigns.open.get(CampaignId(subject))
         if campaign is not None and proposal is not None:
             campaign.terms = proposal.terms or campaign.terms
             self._open(campaign)
 
-    def _let_go_on(self, run: RunState | None) -> None:
+    def _release_run(self, run: RunState | None) -> None:
         """From now on a waiting run needs no person's approval."""
         if run is not None and (run.held or run.unapproved):
             with requeue(self.state.runs, run):

@@ -132,7 +132,7 @@ def test_a_moment_without_power(incubator: InhecoOnWire, world: World, port: Pat
         node = at_port(Inheco, "inheco", port)
         await node.connect()
         await node.set_temperature(40.0)
-        incubator._initialised, incubator._tells_reset, incubator.heats = False, True, False
+        incubator._initialised, incubator._reports_reset, incubator.heats = False, True, False
         with pytest.raises(DeviceError, match="error 1 to RSE: it was reset") as told:
             await node.open_door()
         assert told.value.effects == "none"
@@ -284,6 +284,6 @@ def test_pylabrobots_driver_incubates_and_shakes(
         assert not device.heats
 
     with power_on(InhecoOnWire, "inheco", world, tmp_path / "port", pace=40, started=False) as device:
-        device._tells_reset = False  # that driver does not expect it
+        device._reports_reset = False  # that driver does not expect it
         run(lambda: body(device.address, device))
     assert [motion.facts for motion in world.motions("shake")] == [{"rpm": 600, "mm": 2.0}]

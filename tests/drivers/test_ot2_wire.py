@@ -545,7 +545,7 @@ def test_a_run_that_waits_for_a_person_says_so_and_is_resumed(world: World, file
             elif how == "door":
                 robot.after(0, robot.open_door)
             else:
-                robot.stumbles = True
+                robot.needs_person = True
             waiting = {"paused": "is paused", "door": "is open", "error": "a person can correct"}[how]
             await until(lambda: waiting in node.device.waits_for)  # type: ignore[union-attr]
             assert waiting in await node.trouble()

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from labos.cli.app import group
 from labos.errors import DeviceError, WrongDevice
 from labos.node import World
-from labos.node.unit import keep_unit, read_known_unit, see_unit
+from labos.node.unit import check_unit, keep_unit, read_known_unit
 from labos.settings import Settings
 from labos_drivers.axis import Axis
 from labos_drivers.axis.wire import DriveOnSlcan
@@ -133,21 +133,21 @@ def test_a_swapped_drive_is_refused(world: World, tmp_path: Path, monkeypatch: p
 def test_a_unit_that_tells_nothing_is_refused_only_where_one_is_expected(tmp_path: Path) -> None:
     file = tmp_path / "unit"
     setup = setup_of("it", None, unit_file=str(file))
-    see_unit(setup, None)
+    check_unit(setup, None)
     assert not file.exists()
-    see_unit(setup, 2010)
+    check_unit(setup, 2010)
     with pytest.raises(
         WrongDevice, match=r"2010 was expected, but the connected device reports no serial number"
     ):
-        see_unit(setup, "")
+        check_unit(setup, "")
     file.write_text("half a rec")
     with pytest.raises(DeviceError, match=r"cannot be read .* remove the file"):
-        see_unit(setup, 2010)
+        check_unit(setup, 2010)
 
 
 def test_a_simulated_device_is_not_bound(world: World, tmp_path: Path) -> None:
     file = tmp_path / "unit"
-    see_unit(setup_of("it", world, config={"serial": "REAL"}, unit_file=str(file)), "SIMULATED")
+    check_unit(setup_of("it", world, config={"serial": "REAL"}, unit_file=str(file)), "SIMULATED")
     assert not file.exists()
 
 
@@ -156,11 +156,11 @@ def test_another_unit_is_accepted_by_a_command(tmp_path: Path) -> None:
     settings.journals.mkdir()
     settings.journal("rpl/it").touch()
     setup = setup_of("it", None, unit_file=str(settings.unit("rpl/it")))
-    see_unit(setup, "A1")
+    check_unit(setup, "A1")
     said = CliRunner().invoke(group, ["node", "accept-unit", "rpl/it", "B2", "--home", str(tmp_path)])
     assert said.output == "rpl/it: B2 is accepted (it was A1). Reset the module.\n"
-    see_unit(setup, "B2")
+    check_unit(setup, "B2")
     CliRunner().invoke(group, ["node", "accept-unit", "rpl/it", "--home", str(tmp_path)])
-    see_unit(setup, "C3")
+    check_unit(setup, "C3")
     with pytest.raises(WrongDevice):
-        see_unit(setup, "B2")
+        check_unit(setup, "B2")

@@ -63,7 +63,9 @@ class AxisDriver(Wired):
         super().__init__(setup, address, simulator)
         self._commands = threading.Lock()
         self._homed = False
-        self.drive = Drive(setup.name, address, setup.config, self.see_unit, simulated=simulator is not None)
+        self.drive = Drive(
+            setup.name, address, setup.config, self.check_unit, simulated=simulator is not None
+        )
         self.link = self.drive.link
 
     # -- state -------------------------------------------------------------------------------
@@ -147,7 +149,7 @@ class AxisDriver(Wired):
     def await_end(self, goal: Goal, *, sure: bool) -> None:
         """Wait for the end of a motion. ``sure``: the drive has answered the start command, and the
         connection was not lost since then. Raises DeviceError, OutcomeUnknown."""
-        with self.under_way():
+        with self.motion_begun():
             self._await_end(goal, sure)
 
     async def stop(self) -> None:

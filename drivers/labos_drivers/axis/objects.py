@@ -22,7 +22,7 @@ class Drive:
         name: str,
         channel: str,
         config: Mapping[str, Any],
-        see_unit: Callable[[str], None],
+        check_unit: Callable[[str], None],
         *,
         simulated: bool,
     ) -> None:
@@ -33,7 +33,7 @@ class Drive:
             name=name,
             late_s=float(config.get("late_s", 0.5)),
             emergency=self._note_emergency,
-            identify=lambda link: _recognise(link, see_unit),
+            identify=lambda link: _recognise(link, check_unit),
             expected=WHO,
             **_bus_settings(config, channel, simulated=simulated),
         )
@@ -86,11 +86,11 @@ def _bus_settings(config: Mapping[str, Any], channel: str, *, simulated: bool) -
     return settings | dict(config.get("bus") or {})
 
 
-def _recognise(link: SdoLink, see_unit: Callable[[str], None]) -> str:
+def _recognise(link: SdoLink, check_unit: Callable[[str], None]) -> str:
     kind = int.from_bytes(link.upload(profile.DEVICE_TYPE, timeout_s=ANSWER_S), "little") & 0xFFFF
     if kind != profile.PROFILE:
         return f"a device of the profile {kind}"
-    see_unit(_read_serial(link))
+    check_unit(_read_serial(link))
     return WHO
 
 

@@ -83,7 +83,7 @@ class GatewayDriver(Wired):
         journal, _, name = handle.rpartition(":")
         start = Start(journal, name)
         with self.motion():
-            with self.under_way():
+            with self.motion_begun():
                 entry = self._poll_action("DELETE", start)
             return self._await_end(start, entry)
 
@@ -127,7 +127,7 @@ class GatewayDriver(Wired):
             if error.effects == "none":
                 raise
             # The gateway may or may not have received it. After the DELETE, a late request starts nothing.
-            with self.under_way():
+            with self.motion_begun():
                 entry = self._poll_action("DELETE", start)
         else:
             if reply.status in REFUSALS:
@@ -140,7 +140,7 @@ class GatewayDriver(Wired):
         return self._await_end(start, entry)
 
     def _await_end(self, start: Start, entry: dict[str, Any]) -> Any:
-        with self.under_way():
+        with self.motion_begun():
             while entry.get("status") == "running":
                 time.sleep(POLL_S)
                 entry = self._poll_action("GET", start)
@@ -202,7 +202,7 @@ class GatewayDriver(Wired):
         if not isinstance(body, dict) or body.get("gateway") != 1 or not isinstance(body.get("journal"), str):
             raise NotConnected(f"{self.name}: {reply.body[:60]!r} is no gateway of version 1.")
         self._journal = body["journal"]
-        self.see_unit(body.get("serial"))
+        self.check_unit(body.get("serial"))
         self.note_firmware(body.get("firmware"))
         return self._describe_gateway(str(body.get("instrument")))
 

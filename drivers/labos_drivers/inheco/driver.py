@@ -73,7 +73,7 @@ class InhecoDriver(Wired):
             raise self.make_refusal("it shakes", "Stop shaking first.")
         self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
-        with self.under_way():
+        with self.motion_begun():
             self._await(
                 lambda: self._read_drawer() == goal,
                 self.limit_s("drawer", DRAWER_S),
@@ -100,7 +100,7 @@ class InhecoDriver(Wired):
     def _heat(self, celsius: float) -> None:
         self._order(f"STT{round(celsius * 10)}")
         self._order("SHE1")
-        with self.under_way():
+        with self.motion_begun():
             target, heater = int(self._ask("RTT", r"\d{1,3}")), self._ask("RHE", "[012]")
             if target != round(celsius * 10) or heater == "0":
                 raise DeviceError(
@@ -138,7 +138,7 @@ class InhecoDriver(Wired):
             self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
             self.check_not_stopped()
             self._order("ASE1")
-            with self.under_way():
+            with self.motion_begun():
                 self._await(
                     lambda: self._read_shaker() == protocol.SHAKES,
                     self.limit_s("shaker", SHAKER_S),
@@ -152,7 +152,7 @@ class InhecoDriver(Wired):
 
     def _stop_shaking(self) -> None:
         self._order("ASE0")
-        with self.under_way():
+        with self.motion_begun():
             self._await(
                 lambda: self._read_shaker() == "0",
                 self.limit_s("shaker", SHAKER_S),
@@ -170,7 +170,7 @@ class InhecoDriver(Wired):
         """Initialise the incubator: its drawer closes, heater and shaker stop. Then heat again to the
         temperature that was set, if there is one. Raises DeviceError."""
         self._order("AID", self.limit_s("drawer", DRAWER_S), again=True)
-        with self.under_way():
+        with self.motion_begun():
             self._await(
                 lambda: self._read_drawer() == "0",
                 self.limit_s("drawer", DRAWER_S),
@@ -267,7 +267,7 @@ class InhecoDriver(Wired):
         except Refused as error:
             if error.code not in (protocol.RESET, protocol.NOT_INITIALISED):
                 return f"what answers with error {error.code}"
-        self.see_unit(self._read_serial())
+        self.check_unit(self._read_serial())
         return WHO
 
     def _read_serial(self) -> str:

@@ -19,7 +19,7 @@ class InhecoSimulator(Gated):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        self.shut_at_first(*self.behind)
+        self.shut_at_start(*self.behind)
         self.target_c: float | None = None
         self.shaking = False
         self._block = Settling(ROOM_C, SETTLES_S, self.read_clock)

@@ -33,8 +33,8 @@ class InhecoOnWire(OnWire):
         self.shaker = "0"
         self.heats = False
         self.target = 370
-        self._initialised, self._tells_reset = started, not started
-        self.shut_at_first("default")
+        self._initialised, self._reports_reset = started, not started
+        self.shut_at_start("default")
         self.drawer = "0" if self.world.is_shut(self.place("default")) else "1"
         self.plate_known = started
         self._block = Settling(ROOM_C, SETTLES_S, self.now_s)
@@ -74,8 +74,8 @@ class InhecoOnWire(OnWire):
         self.send(protocol.make_answer(text, error))
 
     def _obey(self, name: str, arguments: str) -> tuple[str, int]:
-        if self._tells_reset:
-            self._tells_reset = False
+        if self._reports_reset:
+            self._reports_reset = False
             return "", protocol.RESET
         if not self._initialised and name not in FREE:
             return "", protocol.NOT_INITIALISED

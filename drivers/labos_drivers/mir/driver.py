@@ -131,7 +131,7 @@ class MiRDriver(Wired):
                 self.check_not_stopped()
             self._await_end(self._queue(mission, name))
             if kind == "move":
-                with self.under_way():
+                with self.motion_begun():
                     self._refuse_elsewhere(position)
 
     def _refuse_elsewhere(self, position: dict[str, Any]) -> None:
@@ -154,7 +154,7 @@ class MiRDriver(Wired):
         except LinkError as error:
             if error.effects == "none":
                 raise
-            with self.under_way():
+            with self.motion_begun():
                 entry = self._retry(lambda: self._find_entry(name))
             if entry is None:
                 raise
@@ -164,7 +164,7 @@ class MiRDriver(Wired):
         self._entry = entry
         limit_s = self.limit_s("drive", DRIVE_S)
         deadline = time.monotonic() + limit_s
-        with self.under_way():
+        with self.motion_begun():
             while True:
                 if self._halted.is_set():
                     self._give_up()  # the entry may have been queued just after the stop
@@ -305,7 +305,7 @@ class MiRDriver(Wired):
         model = str(status.get("robot_model", "")) if isinstance(status, dict) else ""
         if not model.startswith("MiR"):
             return f"what answers {reply.body[:40]!r}"
-        self.see_unit(status.get("serial_number"))
+        self.check_unit(status.get("serial_number"))
         return WHO
 
 

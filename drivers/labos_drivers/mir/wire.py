@@ -39,7 +39,7 @@ class MiROnWire(OnHttp):
         last = drives[-1].facts["target"] if drives else next(iter(self.positions))
         self.at = self.positions[last]
         self.is_blocked = False
-        self._way: tuple[tuple[float, float], tuple[float, float], float, float] | None = None
+        self._path: tuple[tuple[float, float], tuple[float, float], float, float] | None = None
         self.state = protocol.READY
         self.errors: list[dict[str, Any]] = []
         self.queue: list[dict[str, Any]] = []
@@ -140,15 +140,15 @@ class MiROnWire(OnHttp):
         takes_s = dist(self.at, self.positions[name]) / SPEED_M_S + 2
         if action["action_type"] == "docking":
             takes_s += DOCKING_S
-        self._way = way = self.at, self.positions[name], self.now_s(), takes_s
+        self._path = path = self.at, self.positions[name], self.now_s(), takes_s
         if self.is_blocked:
             self.after(0.5 * takes_s, lambda: self.fail("no path to the goal"))
-        self.after(takes_s, lambda: self._arrive(entry, name, way))
+        self.after(takes_s, lambda: self._arrive(entry, name, path))
 
-    def _arrive(self, entry: dict[str, Any], name: str, way: Any) -> None:
-        if self._way is not way:
+    def _arrive(self, entry: dict[str, Any], name: str, path: Any) -> None:
+        if self._path is not path:
             return  # the robot stopped before it arrived
-        self.at, self._way = self.positions[name], None
+        self.at, self._path = self.positions[name], None
         self.world.work(self.name, "drive", target=name)
         entry["state"] = protocol.DONE
         self._come_to_rest(protocol.READY)
@@ -156,12 +156,12 @@ class MiROnWire(OnHttp):
 
     def _halt(self) -> None:
         """Stop the robot at its present position."""
-        self.at, self._way = self._compute_position(), None
+        self.at, self._path = self._compute_position(), None
 
     def _compute_position(self) -> tuple[float, float]:
-        if self._way is None:
+        if self._path is None:
             return self.at
-        (x, y), (to_x, to_y), began_s, takes_s = self._way
+        (x, y), (to_x, to_y), began_s, takes_s = self._path
         part = min((self.now_s() - began_s) / takes_s, 1.0)
         return x + part * (to_x - x), y + part * (to_y - y)
 

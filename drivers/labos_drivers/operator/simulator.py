@@ -34,7 +34,7 @@ class OperatorSimulator(Arm):
 
     def carry(self, source: str, target: str) -> None:
         self.world.grip(self.name, self.place(source))
-        self._let_go(target)
+        self._release_plate(target)
 
     def refill(self, module: str, resource: str) -> None:
         """Fill a resource of a device up to the largest amount that it was supplied with. The level of a

@@ -76,7 +76,7 @@ class OT2OnWire(OnHttp):
         self.lights = False
         self.fails_with = ""
         """A protocol fails with this error in its next command."""
-        self.stumbles = False
+        self.needs_person = False
         """A protocol meets an error in its next command that a person can mend."""
         self.takes_offsets = True
         self.starting = False
@@ -330,8 +330,8 @@ class OT2OnWire(OnHttp):
             detail, self.fails_with = self.fails_with, ""
             self._fail(run, "2001", "MotionFailedError", detail)
             return
-        if self.stumbles:
-            self.stumbles = False
+        if self.needs_person:
+            self.needs_person = False
             run["status"] = "awaiting-recovery"
             return
         if number == WORKS_AT and self._played in self._running:

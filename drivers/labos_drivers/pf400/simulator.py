@@ -48,15 +48,15 @@ class PF400Simulator(Arm):
         grips: tuple[str, str] = ("", ""),
         factor: float = 1.0,
     ) -> None:
-        self._lets_nobody_guide_it()
+        self._refuse_in_free_mode()
         await super().transfer(source, target, regrip, grips, factor)
 
     async def pick(self, source: str, grip: str = "", kind: str = "", through: str = "") -> None:
-        self._lets_nobody_guide_it()
+        self._refuse_in_free_mode()
         await super().pick(source)
 
     async def put_down(self, target: str, kind: str = "", through: str = "") -> None:
-        self._lets_nobody_guide_it()
+        self._refuse_in_free_mode()
         await super().put_down(target)
 
     async def open_fingers(self, wide: bool) -> None:
@@ -80,7 +80,7 @@ class PF400Simulator(Arm):
         return (turn_at or self.regrip_at) if turns else ""
 
     async def explore(self) -> None:
-        self._lets_nobody_guide_it()
+        self._refuse_in_free_mode()
         with self.motion():
             if self.find_held_plate():
                 raise DeviceError(
@@ -121,6 +121,6 @@ class PF400Simulator(Arm):
             self.world.work(self.name, "yield" if free else "hold")
         self.is_free, self._was_freed = free, True
 
-    def _lets_nobody_guide_it(self) -> None:
+    def _refuse_in_free_mode(self) -> None:
         if self.is_free:
             self.world.crash(self.name, self.name, "moves while a person guides it")

@@ -55,7 +55,7 @@ class PF400OnWire(OnLine):
         grip = protocol.NARROW
         fingers = grip.closed_mm if self.find_held_plate() else grip.open_mm
         self.joints: Joints = (*protocol.NEUTRAL, fingers, 0.0)
-        self._way: tuple[Joints, Joints, float, float] | None = None
+        self._path: tuple[Joints, Joints, float, float] | None = None
         self._motion = 0
         self._then: Callable[[], None] | None = None
         self._lines: deque[str] = deque()
@@ -78,7 +78,7 @@ class PF400OnWire(OnLine):
 
     @property
     def is_in_motion(self) -> bool:
-        return self._way is not None
+        return self._path is not None
 
     def set_fingers(self, width_mm: float) -> None:
         """Set the width of the fingers (mm). Tests call it for a person who moves them by hand."""
@@ -99,7 +99,7 @@ class PF400OnWire(OnLine):
     def _obey(self, line: str) -> None:
         name, *words = line.split()
         name = name.lower()
-        if name in ("movej", "moveoneaxis", "move", "moveappro", "pickplate", "placeplate") and self._way:
+        if name in ("movej", "moveoneaxis", "move", "moveappro", "pickplate", "placeplate") and self._path:
             # A second motion waits for the end of the first, and all commands after it wait too.
             self._lines.appendleft(line)
             self._deaf = True
@@ -110,7 +110,7 @@ class PF400OnWire(OnLine):
             "selectrobot": lambda w: self._send_done() if w else self._send_done("1"),
             "version": lambda w: self._send_done("TCS 3.0D4"),
             "sysstate": lambda w: self._send_done(str(self._make_system_state())),
-            "state": lambda w: self._send_done("2.0" if self._way else "1.0"),
+            "state": lambda w: self._send_done("2.0" if self._path else "1.0"),
             "hp": self._power,
             "attach": self._attach,
             "home": lambda w: self._home(),
@@ -299,15 +299,15 @@ class PF400OnWire(OnLine):
         self.world.enter(self.name, self.name)
         if place := self._find_place_under(target):
             self.world.enter(self.name, place)
-        self._way = start, target, self.now_s(), took_s
+        self._path = start, target, self.now_s(), took_s
         self._motion += 1
         motion, self._then = self._motion, then
         self.after(took_s, lambda: self._arrive(motion), exact=True)
 
     def _arrive(self, motion: int) -> None:
-        if motion != self._motion or self._way is None:
+        if motion != self._motion or self._path is None:
             return
-        self.joints, self._way = self._way[1], None
+        self.joints, self._path = self._path[1], None
         if self.is_slippery and self.world.drop(self.name):
             self.set_fingers(max(self.joints[4] - SQUEEZE_MM, protocol.LIMITS[protocol.GRIPPER][0]))
         if not self._find_place_under(self.joints):
@@ -319,9 +319,9 @@ class PF400OnWire(OnLine):
             self._listen_again()
 
     def _compute_joints(self) -> Joints:
-        if self._way is None:
+        if self._path is None:
             return self.joints
-        start, target, began_s, took_s = self._way
+        start, target, began_s, took_s = self._path
         part = min((self.now_s() - began_s) / took_s, 1.0)
         return tuple(a + part * (b - a) for a, b in zip(start, target, strict=True))
 
@@ -330,10 +330,10 @@ class PF400OnWire(OnLine):
         self._send_done()
 
     def _freeze(self) -> None:
-        self.joints, self._way, self._then = self._compute_joints(), None, None
+        self.joints, self._path, self._then = self._compute_joints(), None, None
 
     def _wait_for_end(self) -> None:
-        if self._way is None:
+        if self._path is None:
             self._send_done()
             return
         self._deaf = True
@@ -364,7 +364,7 @@ class PF400OnWire(OnLine):
 
     def _open_fingers(self, width: float) -> None:
         def open_hand() -> None:
-            self._let_go(width)
+            self._release_plate(width)
             self._send_done()
 
         self._finish_after(FINGERS_S, open_hand)
@@ -381,7 +381,7 @@ class PF400OnWire(OnLine):
         self.set_fingers(width + self.wider_mm if held else max(width - SQUEEZE_MM, 60.0))
         return held
 
-    def _let_go(self, width: float) -> None:
+    def _release_plate(self, width: float) -> None:
         if self.find_held_plate() and width > self.joints[4]:
             place = self._find_spot()
             if not place:
@@ -432,7 +432,7 @@ class PF400OnWire(OnLine):
 
     def _place_plate(self, words: list[str]) -> None:
         def work() -> str:
-            self._let_go(self._grips["open"])
+            self._release_plate(self._grips["open"])
             return ""
 
         self._visit(int(words[0]), work)

@@ -66,7 +66,7 @@ class TecanDriver(Wired):
     def _drive(self, goal: str) -> None:
         self.check_not_stopped()
         self._order(f"ABSOLUTE MTP,{goal}", self.limit_s("gate", GATE_S))
-        with self.under_way():
+        with self.motion_begun():
             if (found := self._read_position()) != goal:
                 raise DeviceError(
                     f"{self.name}: the carrier should be {goal}, and is {found}.",
@@ -127,7 +127,7 @@ class TecanDriver(Wired):
         self._order("KEYLOCK ON")
         self._scans = True
         try:
-            with self.under_way():
+            with self.motion_begun():
                 yield
                 self._order("TERMINATE")
                 for part in ("MTP", "ABS"):
@@ -191,9 +191,9 @@ class TecanDriver(Wired):
             raise Garbled(f"{self.name}: {len(packets)} of {len(columns)} wells of a row were reported.")
         found: dict[str, float] = {}
         for column, packet in zip(columns, packets, strict=True):
-            told_nm, pairs = protocol.read_measurement(packet)
-            if abs(told_nm - nm) > 0.05:
-                raise Garbled(f"{self.name}: it measured at {told_nm:g} nm, not at {nm:g} nm.")
+            reported_nm, pairs = protocol.read_measurement(packet)
+            if abs(reported_nm - nm) > 0.05:
+                raise Garbled(f"{self.name}: it measured at {reported_nm:g} nm, not at {nm:g} nm.")
             try:
                 found[grid.well(row, column)] = protocol.optical_density(calibration, pairs)
             except ValueError as error:
@@ -227,7 +227,7 @@ class TecanDriver(Wired):
         """Home all axes; then the carrier moves out."""
         self.resume()
         self._order("INIT FORCE", self.limit_s("init", INIT_S))
-        with self.under_way():
+        with self.motion_begun():
             self._order("KEYLOCK OFF")
             self._drive(protocol.OUT)
 
@@ -279,7 +279,7 @@ class TecanDriver(Wired):
         if busy is None:
             raise Garbled(f"{self.name}: {text!r} is no answer to {command!r}.")
         deadline = time.monotonic() + (limit_s or self.limit_s("answer", ANSWER_S))
-        with self.under_way():
+        with self.motion_begun():
             while text != protocol.STANDBY:
                 message = self.link.receive(max(deadline - time.monotonic(), 0.0))
                 text = message.decode() if message[:1] != b"\0" else ""

@@ -32,7 +32,7 @@ class TecanOnWire(OnWire):
         self.sensor = "UNDEFINED"
         self.position = protocol.IN if self.world.is_shut(self.place("default")) else protocol.OUT
         if self.position == protocol.IN:
-            self._feel()
+            self._update_sensor()
         self._nm = 0.0
         self._at = (0, 0)
         self._received = b""
@@ -145,17 +145,17 @@ class TecanOnWire(OnWire):
         if goal == protocol.OUT:
             self.open("default")
         else:
-            self._feel()
+            self._update_sensor()
         self._stand_by()
 
-    def _feel(self) -> None:
+    def _update_sensor(self) -> None:
         self.sensor = "TAKEN" if self.top(self.place("default")) else "FREE"
 
     def _finish_initialising(self) -> None:
         if not self.jammed:
             self.shut("default")
             self.position = protocol.IN
-            self._feel()
+            self._update_sensor()
         self._stand_by()
 
     def _go(self, match: re.Match[str]) -> None:

@@ -133,7 +133,7 @@ class URDriver(Wired):
             with self.report_no_effects():
                 self._check_sensors(before, f"{action} needs")
             self._run(program)
-            with self.under_way():
+            with self.motion_begun():
                 self._check_sensors(after, f"after {action} it should be")
 
     # -- the device itself -------------------------------------------------------------------
@@ -197,7 +197,7 @@ class URDriver(Wired):
                 self.check_not_stopped()
                 states = end.enter_context(self._watch_program())
             self._play(program)
-            with self.under_way():
+            with self.motion_begun():
                 held = self._await_end(program, states)
                 self._refuse_unless_safe(program)
                 self.check_not_stopped()
@@ -312,7 +312,7 @@ class URDriver(Wired):
     def _check_hand_after(self, *, held: bool, after: str) -> None:
         """Check what the gripper holds after a motion. If it does not answer, the effects are unknown. Raises
         DeviceError."""
-        with self.under_way():
+        with self.motion_begun():
             if self._read_hand_at_rest() is (not held):
                 raise DeviceError(
                     f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",
@@ -410,7 +410,7 @@ class URDriver(Wired):
         if not greeting.startswith(protocol.GREETING):
             return f"what says {greeting[:40]!r}"
         serial = self._ask("get serial number")  # unknown before software 5.6 and 3.12 (CB3)
-        self.see_unit("" if _is_not_understood(serial) else serial)
+        self.check_unit("" if _is_not_understood(serial) else serial)
         version = self._ask("PolyscopeVersion")
         self.note_firmware("" if _is_not_understood(version) else version)
         return WHO

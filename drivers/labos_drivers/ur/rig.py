@@ -15,12 +15,12 @@ TIPS = 2.0
 
 
 class Rig:
-    """``wears_pipette``: the pipette is on the arm, not in its dock. ``has_tip``: it has a tip with a sample.
+    """``holds_pipette``: the pipette is on the arm, not in its dock. ``has_tip``: it has a tip with a sample.
     ``is_docked``: the arm is in the dock, in which the tool changer is locked or unlocked."""
 
     def __init__(self, world: World, arm: str) -> None:
         self._world, self._arm = world, arm
-        self.wears_pipette = self.has_tip = self.is_docked = False
+        self.holds_pipette = self.has_tip = self.is_docked = False
         for motion in world.motions():
             if motion.device == arm:
                 self._note(motion.verb, motion.facts)
@@ -39,7 +39,7 @@ class Rig:
             "run_droplet": (False, True),
             "dispose_tip": (True, True),
         }[action]
-        if self.wears_pipette is not wanted[0]:
+        if self.holds_pipette is not wanted[0]:
             self._crash(f"does {action} with{'out' if wanted[0] else ''} the pipette on its wrist")
         if wanted[1] is not None and self.has_tip is not wanted[1]:
             self._crash(f"does {action} with{'out' if wanted[1] else ''} a tip on the pipette")
@@ -68,7 +68,7 @@ class Rig:
         """The names of the inputs whose sensors are on."""
         sensors = (
             ("dock_input", self.is_docked),
-            ("pipette_input", self.wears_pipette),
+            ("pipette_input", self.holds_pipette),
             ("tip_input", self.has_tip),
         )
         return {key for key, is_on in sensors if is_on}
@@ -85,9 +85,9 @@ class Rig:
         if verb in ("dock", "undock"):
             self.is_docked = verb == "dock"
             if verb == "undock":
-                self.wears_pipette = facts.get("tool") == "pipette"
+                self.holds_pipette = facts.get("tool") == "pipette"
         elif verb in ("pick_pipette", "place_pipette"):
-            self.wears_pipette = verb == "pick_pipette"
+            self.holds_pipette = verb == "pick_pipette"
         elif verb in ("create_sample", "dispose_tip"):
             self.has_tip = verb == "create_sample"
 

@@ -87,10 +87,10 @@ def answer_question(state: LabState, topic: Approval, choice: str, by: str, note
 
 def approve(state: LabState, proposal: Proposal, command: ApproveProposal) -> Decision:
     wrong = _may_not_approve(state, proposal, command.by) or _check_experiment(state, proposal)
-    return wrong or _let_go_on(state, proposal, command)
+    return wrong or _give_approval(state, proposal, command)
 
 
-def _let_go_on(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
+def _give_approval(state: LabState, proposal: Proposal, command: ApproveProposal) -> Iterator[Event]:
     yield make_from(
         ApprovalGiven,
         command,

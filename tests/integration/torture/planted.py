@@ -86,7 +86,7 @@ BUGS: dict[str, Bug] = {
         "happy path",
         (
             (
-                "        with under_way():\n            self.await_end(before)\n\n    @action(Needs",
+                "        with motion_begun():\n            self.await_end(before)\n\n    @action(Needs",
                 "    @action(Needs",
             ),
         ),
@@ -169,7 +169,7 @@ BUGS: dict[str, Bug] = {
         "unplugged during",
         (
             (
-                "        with under_way():\n            self.await_end(before)\n\n    @action(Needs",
+                "        with motion_begun():\n            self.await_end(before)\n\n    @action(Needs",
                 "        with contextlib.ExitStack() as end:\n"
                 '            end.push(lambda _, error, __: error and setattr(error, "effects", "none"))\n'
                 "            self.await_end(before)\n\n    @action(Needs",
