@@ -32,7 +32,6 @@ from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
 from labos.http.limits import LARGEST_BODY, SMALL_BODY
-from labos.http.method import Method
 from labos.http.notes import Notes, notes_of
 from labos.http.recorded import answer_from_log
 from labos.http.repeats import make_digest_of_request
@@ -160,6 +159,35 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
         """The parameters of the query that may be repeated."""
         fields = msgspec.structs.fields(self.query) if self.query is not None else ()
         return frozenset(f.encode_name for f in fields if isinstance(f.default_factory, type))
+
+
+class Method(msgspec.Struct, frozen=True):
+    """How a method of ``LabClient`` calls an operation: the client is generated from this and from the types
+    of the operation.
+
+    ``name`` begins with an underscore if a hand-written method passes its options on to the generated one;
+    ``by_hand``: there is only the hand-written one.
+
+    ``positional`` are the first parameters, in order, as ``module, by='somebody', until_ns=until``: a value
+    in quotation marks is a default, another one the name that the parameter has in the request. If it is
+    empty, they are the names in the path, the required fields of the body, and the requesting user. All other
+    parameters are keywords.
+
+    ``take`` is the member of the answer that is returned (none: nothing is returned). With ``repeat`` the
+    request may be carried out twice; with a ``key`` it is carried out once, however often it is sent.
+    ``fixed`` members of the request are always the same, those ``without`` are never sent. ``timeout_s`` goes
+    before the client's own.
+    """
+
+    name: str
+    positional: str = ""
+    take: str | None = ""
+    repeat: bool = False
+    key: Literal["", "new", "given"] = ""
+    fixed: Mapping[str, Any] = {}
+    without: tuple[str, ...] = ()
+    timeout_s: float | None = None
+    by_hand: bool = False
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -311,13 +339,6 @@ submit = partial(
     largest_body=LARGEST_BODY,
 )
 """An operation that reads files of a user, to plan or to submit."""
-
-
-def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:
-    """The operations among the ``names`` of a module, in its order; under the heading ``tag``, if they name
-    none."""
-    found = (each for each in names.values() if isinstance(each, Operation))
-    return tuple(msgspec.structs.replace(each, tag=each.tag or tag) for each in found)
 
 
 def respond(operation: Operation, found: Any) -> Response:

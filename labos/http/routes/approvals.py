@@ -20,8 +20,7 @@ from labos.errors import BadInput, NotFound
 from labos.http.bodies import Amendment, Amounts, Asked, Limit
 from labos.http.campaigns import ConsumableEstimate, amend_terms, estimate_consumables
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, Operation, change, read
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.planning.lab_forecast import LabForecast
@@ -285,6 +284,3 @@ def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:
     """The terms of a campaign after the approval; None for a submission without terms."""
     campaign = state.campaigns.open.get(CampaignId(proposal.subject))
     return proposal.terms or (campaign.terms if campaign is not None else None)
-
-
-OPERATIONS = list_operations(globals(), "approvals")

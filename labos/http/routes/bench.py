@@ -26,8 +26,7 @@ from labos.http.bodies import (
 )
 from labos.http.declare import declare_bench
 from labos.http.limits import check_person
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read, submit
+from labos.http.operation import Call, Method, Operation, change, read, submit
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
@@ -292,6 +291,3 @@ def _sight(service: LabService, place: StationName, what: str, by: str) -> Obser
         f"{what!r} is neither labware on the bench nor a labware type.",
         remedy=f"Give empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
     )
-
-
-OPERATIONS = list_operations(globals(), "bench")

@@ -19,8 +19,7 @@ from labos.core.words import list_references, put_into_text
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Line, Name, Time, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, Operation, change, read
 from labos.http.service import LabService
 from labos.services.shown import read_texts
 
@@ -424,6 +423,3 @@ def _find_owner(state: LabState, owner: str, by: str) -> tuple[str, str]:
             )
         return "", owner
     return owner, ""
-
-
-OPERATIONS = list_operations(globals(), "bookings")

@@ -30,8 +30,7 @@ from labos.http.bodies import (
 from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
 from labos.http.cloning import clone_campaign
 from labos.http.limits import SMALL_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read, submit
+from labos.http.operation import Call, Method, Operation, change, read, submit
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
 from labos.services.shares import ShareAccount, make_ledger
@@ -263,6 +262,3 @@ def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
             remedy="See its history: labos campaign show",
         )
     return known
-
-
-OPERATIONS = list_operations(globals(), "campaigns")

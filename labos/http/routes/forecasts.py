@@ -7,8 +7,7 @@ import msgspec
 from labos.core.lengths import Drift, find_drifts
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
-from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read, submit
+from labos.http.operation import Call, Method, read, submit
 from labos.planning.lab_forecast import LabForecast
 from labos.spec.findings import Finding
 
@@ -105,6 +104,3 @@ def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
         touches=[touch for touch in forecast.touches if touch.run not in runs],
         delays=[delay for delay in forecast.delays if delay.campaign not in hidden],
     )
-
-
-OPERATIONS = list_operations(globals(), "runs")

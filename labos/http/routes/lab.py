@@ -13,8 +13,7 @@ from labos.http.asking import NodeAnswer, ask_nodes
 from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read
+from labos.http.operation import Call, Method, Operation, read
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
@@ -185,6 +184,3 @@ async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
     the modules that confirmed the stop, with the time (UTC nanoseconds); `silent` are the others. A stopped
     module is in the state ERROR until a run of its action `reset`, which `labos reset` submits."""
     return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
-
-
-OPERATIONS = list_operations(globals(), "lab")

@@ -11,8 +11,7 @@ from labos.core.structs import make_from
 from labos.http import wire
 from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
-from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read
+from labos.http.operation import Call, Method, read
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
@@ -121,6 +120,3 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
 
 def _make_log_query(query: EventFilter, **more: int | None) -> LogQuery:
     return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream), **more)
-
-
-OPERATIONS = list_operations(globals(), "log")

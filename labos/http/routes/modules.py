@@ -25,8 +25,7 @@ from labos.http.bodies import (
     WorkcellFile,
 )
 from labos.http.limits import LARGEST_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, Operation, change, read
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
 from labos.http.teaching import LocationPose, make_locations, teach
@@ -247,6 +246,3 @@ async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> 
     """No person works in the workcell any more, and it continues."""
     await end_access(call.service, path.workcell, body.by, body.note, body.changed)
     return WorkcellReference(path.workcell)
-
-
-OPERATIONS = list_operations(globals(), "modules")

@@ -25,8 +25,7 @@ from labos.core.users import Kind, Role, group_subject, user_subject
 from labos.errors import Forbidden, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Name, says
-from labos.http.method import Method
-from labos.http.operation import Call, change, list_operations, read
+from labos.http.operation import Call, Method, change, read
 from labos.http.queries import OfGroup, OfUser
 
 Subject = Annotated[Name, says("`user:ID` or `group:NAME`")]
@@ -294,6 +293,3 @@ def _make_group_view(state: LabState, name: str) -> GroupView:
         raise NotFound(f"There is no group {name!r}.", remedy="List them: labos group list")
     roles = state.users.roles.get(group_subject(name), {})
     return GroupView(name, group.weight, list(group.members), dict(roles))
-
-
-OPERATIONS = list_operations(globals(), "people")

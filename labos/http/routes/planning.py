@@ -16,8 +16,7 @@ from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read, submit
+from labos.http.operation import Call, Method, Operation, read, submit
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
@@ -228,6 +227,3 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         refusal=refusal,
         warnings=planned.findings,
     )
-
-
-OPERATIONS = list_operations(globals(), "workcells")

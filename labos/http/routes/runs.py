@@ -26,8 +26,7 @@ from labos.http.bodies import (
     RunPause,
 )
 from labos.http.limits import LARGEST_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, change, list_operations, read, submit
+from labos.http.operation import Call, Method, change, read, submit
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
@@ -331,6 +330,3 @@ async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
     """The application is running."""
     call.service.note_heartbeat(path.experiment, call.user)
     return HeartbeatReply()
-
-
-OPERATIONS = list_operations(globals(), "runs")

@@ -15,8 +15,7 @@ from labos.core.structs import make_from
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 from labos.errors import NotFound, Refused
 from labos.http.limits import Asker, Name, Time, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, Operation, change, read
 from labos.services.log import Log
 
 Found = tuple[tuple[int, str], ...]
@@ -200,6 +199,3 @@ def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[i
             remedy="The content of the log itself cannot be erased.",
         )
     return []
-
-
-OPERATIONS = list_operations(globals(), "log")
