@@ -329,8 +329,17 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 read = partial(Operation, needs="viewer")
 """An operation that changes nothing."""
 
-change = partial(Operation, problems=("refused",))
+change = partial(Operation, needs="submitter", problems=("refused",))
 """An operation with a command that the rules may forbid in the present state."""
+
+operate = partial(change, needs="operator")
+"""A change by a person who works at the modules and the bench."""
+
+administer = partial(change, needs="admin")
+"""A change by a person who looks after the lab."""
+
+apply_file = partial(administer, problems=("refused", "spec_error", "spec_errors"))
+"""A change by a file for the whole lab."""
 
 submit = partial(
     Operation,

@@ -30,7 +30,7 @@ from labos.http.bodies import (
 from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
 from labos.http.cloning import clone_campaign
 from labos.http.limits import SMALL_BODY
-from labos.http.operation import Call, Method, Operation, change, read, submit
+from labos.http.operation import Call, Method, apply_file, change, read, submit
 from labos.http.queries import OfCampaign
 from labos.services.proposals import describe_waiting
 from labos.services.shares import ShareAccount, make_ledger
@@ -135,7 +135,6 @@ def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     route="POST /campaigns/{campaign}/pause",
     client=Method("pause_campaign", take=None, repeat=True),
     summary="Pause a campaign: no further row is submitted",
-    needs="submitter",
     example={"by": "ada", "why": "lunch"},
     example_answer={"campaign": "C1"},
 )
@@ -150,7 +149,6 @@ async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> C
     route="POST /campaigns/{campaign}/resume",
     client=Method("resume_campaign", take=None, repeat=True),
     summary="Resume a paused campaign",
-    needs="submitter",
     example={"by": "ada"},
     example_answer={"campaign": "C1"},
 )
@@ -164,7 +162,6 @@ async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignRef
     route="POST /campaigns/{campaign}/cancel",
     client=Method("cancel_campaign", take=None, repeat=True),
     summary="Cancel a campaign",
-    needs="submitter",
     example={"by": "ada", "why": "wrong plates"},
     example_answer={"campaign": "C1"},
 )
@@ -175,11 +172,10 @@ async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) ->
     return CampaignReference(name)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/amend",
     client=Method("_amend_campaign", repeat=True),
     summary="Change the terms of a campaign",
-    needs="submitter",
     problems=("refused", "spec_error"),
     example={"by": "ada", "priority": 5, "runs": 100},
 )
@@ -213,11 +209,10 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
     return wire.answer(submission, 200 if body.dry_run else 201)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/archive",
     client=Method("archive_campaign", take=None, repeat=True),
     summary="Hide a campaign that has ended from lists",
-    needs="submitter",
     problems=("not_found", "refused"),
     example={"by": "ada"},
     example_answer={"campaign": "C1"},
@@ -238,12 +233,10 @@ def list_shares(call: Call) -> Shares:
     return Shares(make_ledger(call.kernel.state, call.kernel.clock.now_ns()))
 
 
-@Operation(
+@apply_file(
     route="POST /shares",
     client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
     summary="Apply a shares file with weights and quotas",
-    needs="admin",
-    problems=("refused", "spec_error", "spec_errors"),
     example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},
     example_answer={"digest": "ab" * 32},
 )

@@ -16,7 +16,7 @@ from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
-from labos.http.operation import Call, Method, Operation, read, submit
+from labos.http.operation import Call, Method, operate, read, submit
 from labos.http.queries import OfModule, OfWorkcell
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
@@ -160,11 +160,10 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
     line: list[str]
 
 
-@Operation(
+@operate(
     route="POST /workcells/{workcell}/order",
     client=Method("suggest_order", "workcell, steps, until, position, line", take="steps", repeat=True),
     summary="Suggest an order for the next steps of a workcell",
-    needs="operator",
     problems=("not_found", "refused"),
     example={
         "by": "ada",

@@ -114,7 +114,7 @@ _RUN = {
 }
 
 
-_of_application = partial(change, tag="experiments", needs="submitter", headers=("LabOS-User",))
+_of_application = partial(change, tag="experiments", headers=("LabOS-User",))
 """A request of an application about its experiment."""
 
 
@@ -198,7 +198,6 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     route="POST /runs/{run}/cancel",
     client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
     summary="Cancel a run",
-    needs="submitter",
     example={"by": "ada", "why": "wrong plate"},
     example_answer={"run": "R1"},
 )
@@ -215,7 +214,6 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     route="POST /runs/{run}/pause",
     client=Method("pause", "run, by='somebody'", take=None, repeat=True),
     summary="Pause a run: no further step starts",
-    needs="submitter",
     example={"by": "ada", "why": "lunch"},
     example_answer={"run": "R1"},
 )
@@ -229,7 +227,6 @@ async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     route="POST /runs/{run}/resume",
     client=Method("resume", "run, by='somebody'", take=None, repeat=True),
     summary="Resume a paused run",
-    needs="submitter",
     example={"by": "ada"},
     example_answer={"run": "R1"},
 )
