@@ -32,6 +32,7 @@ from labos.http.cloning import clone_campaign
 from labos.http.limits import SMALL_BODY
 from labos.http.operation import Call, Method, apply_file, change, read, submit
 from labos.http.queries import OfCampaign
+from labos.http.routes.runs import TIMED_WORKFLOW
 from labos.services.proposals import describe_waiting
 from labos.services.shares import ShareAccount, make_ledger
 from labos.spec.shares import parse_shares
@@ -79,13 +80,14 @@ class SharesReference(msgspec.Struct, frozen=True):
     digest: str
 
 
-_WORKFLOW = (
-    "labos: 1\nname: seal\nsteps:\n"
-    "  - {name: seal, module: sealer, action: seal, args: {time: payload.time}}\n"
-)
-_CAMPAIGN = (
-    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
-)
+CAMPAIGN = {
+    "text": "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\n"
+    "rows: {list: [{time: 2.0}, {time: 3.0}]}\n",
+    "workflow": TIMED_WORKFLOW,
+    "user": "ada",
+}
+"""A campaign for examples."""
+
 _SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
 
 
@@ -106,12 +108,7 @@ def list_campaigns(call: Call) -> Campaigns:
     status=201,
     other_statuses={200: "It was only checked (`dry_run`)"},
     logs_key=True,
-    example={
-        "text": _CAMPAIGN,
-        "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
-        "user": "ada",
-        "dry_run": True,
-    },
+    example={**CAMPAIGN, "dry_run": True},
     answer=CampaignSubmission,
 )
 async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:

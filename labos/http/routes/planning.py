@@ -18,6 +18,7 @@ from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
 from labos.http.operation import Call, Method, operate, read, submit
 from labos.http.queries import OfModule, OfWorkcell
+from labos.http.routes.runs import WORKFLOW
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
@@ -85,9 +86,6 @@ class CheckedRun(msgspec.Struct, frozen=True):
     approval: tuple[str, ...]
     refusal: str
     warnings: tuple[Finding, ...]
-
-
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 
 @read(
@@ -193,7 +191,7 @@ class StepsLeft(msgspec.Struct, frozen=True):
     client=Method("_check_run", "workflow, user=''", repeat=True),
     summary="Check a run of a workflow without submitting it",
     tag="runs",
-    example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+    example={"workflow": WORKFLOW, "user": "ada"},
 )
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""

@@ -104,11 +104,15 @@ class HeartbeatReply(msgspec.Struct, frozen=True):
     """The lab has recorded the heartbeat."""
 
 
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-_TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
+_TEXT = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED_TEXT = _TEXT.replace("seal}", "seal, args: {time: payload.time}}")
+WORKFLOW = {"text": _TEXT, "name": "seal.yaml"}
+TIMED_WORKFLOW = {"text": _TIMED_TEXT, "name": "seal.yaml"}
+"""Workflows for examples: without a payload, and with the sealing time as its payload."""
+
 _PAYLOADS = [{"time": 2}, {"time": 4}]
 _RUN = {
-    "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+    "workflow": WORKFLOW,
     "user": "ada",
     "place": [{"station": "sealer.default", "labware": "plate96"}],
 }
@@ -171,7 +175,7 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     summary="Queue a run of a workflow for each payload, all of them or none",
     status=201,
     logs_key=True,
-    example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
+    example={"workflow": TIMED_WORKFLOW, "user": "ada", "payloads": _PAYLOADS},
     example_answer={"runs": ["R1", "R2"], "warnings": []},
 )
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
@@ -243,7 +247,7 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     tag="experiments",
     status=201,
     logs_key=True,
-    example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
+    example={"name": "color picker", "user": "ada", "closing": {"text": _TEXT}},
     example_answer={"experiment": "E1"},
 )
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
