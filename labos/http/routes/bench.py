@@ -24,14 +24,13 @@ from labos.http.bodies import (
     Observation,
     SampleSheet,
 )
-from labos.http.declare import declare_bench
 from labos.http.limits import check_person
 from labos.http.operation import Call, Method, Operation, change, operate, read, submit
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
 from labos.http.service import LabService
-from labos.http.stock import LabwarePlacement, Load, Unload, load, unload
+from labos.http.stock import LabwarePlacement, Load, Unload, declare_bench, load, unload
 
 EMPTY = "empty"
 

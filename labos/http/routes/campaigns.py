@@ -27,8 +27,14 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
-from labos.http.cloning import clone_campaign
+from labos.http.campaigns import (
+    CampaignView,
+    Estimate,
+    amend_terms,
+    clone_campaign,
+    make_view,
+    submit_campaign,
+)
 from labos.http.limits import SMALL_BODY
 from labos.http.operation import Call, Method, apply_file, change, read, submit
 from labos.http.queries import OfCampaign
