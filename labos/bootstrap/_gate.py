@@ -34,7 +34,7 @@ from labos.services.accounts.accounts import FRESH_S
 from labos.services.accounts.provider_file import load_provider
 from labos.settings import OIDC, Settings
 from labos.store import SqlEventStore, open_accounts
-from labos.telemetry.signing import Signing
+from labos.telemetry.process_metrics import Signing
 
 if TYPE_CHECKING:
     from labos.services.accounts.oidc import Provider

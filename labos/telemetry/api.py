@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from labos.telemetry.process_metrics import describe_process
+from labos.telemetry.process_metrics import Signing, describe_process
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup, MetricRegistry
-from labos.telemetry.signing import Signing
 
 
 class ApiMetrics:

@@ -12,8 +12,7 @@ from labos.core.ids import ModuleName, StationName, local, split_level_key, work
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
 from labos.planning.scheduler import Scheduler
-from labos.telemetry.bounded import BoundedNames
-from labos.telemetry.series import GaugeMetric, Labels, MetricGroup
+from labos.telemetry.series import BoundedNames, GaugeMetric, Labels, MetricGroup
 
 MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
 RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
