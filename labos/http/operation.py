@@ -27,12 +27,11 @@ from labos.core.viewer import Viewer
 from labos.core.visibility import find_hidden, find_viewer
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
-from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
 from labos.http.limits import LARGEST_BODY, SMALL_BODY
-from labos.http.notes import Notes, notes_of
+from labos.http.notes import notes_of
 from labos.http.recorded import answer_from_log
 from labos.http.repeats import make_digest_of_request
 from labos.http.service import LabService
@@ -59,7 +58,7 @@ class Api:
         viewers = service.viewers
         self.ends = StreamEnds(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
         gate.accounts.on_end.append(self.ends.cut_all)
-        self.arriving = BodyReader()
+        self.arriving = wire.BodyReader()
         self.idempotent = IdempotentAnswers()
         self._states: dict[tuple[bool, Viewer | None], Shared] = {}
 
@@ -72,15 +71,10 @@ class Api:
         work = partial(self._make_view, waits=waits, viewer=viewer)
         return self._states.setdefault((waits, viewer), Shared(work, self.kernel.flush))
 
-    @property
-    def _notes(self) -> Notes:
-        """The facts about nodes that are not in the log."""
-        link = self.service.link
-        return link.notes if link is not None else notes_of(self.service)
-
     def _make_view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
-        hidden = find_hidden(self.kernel.state, viewer)
-        return msgspec.json.encode(make_lab_view(self.kernel, self._notes, waits=waits, hidden=hidden))
+        link, hidden = self.service.link, find_hidden(self.kernel.state, viewer)
+        notes = link.notes if link is not None else notes_of(self.service)
+        return msgspec.json.encode(make_lab_view(self.kernel, notes, waits=waits, hidden=hidden))
 
 
 class Call:
@@ -308,7 +302,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             return await api.gate.admit(request, self.needs, by_home=self.by_home, by_link=self.by_link)
         except (NotSignedIn, Forbidden):
             request.scope[wire.UNREAD] = True
-            await drain(request.stream())
+            await wire.drain(request.stream())
             raise
 
     async def _read(self, api: Api, request: Request, who: Who) -> dict[str, msgspec.Struct]:

@@ -8,8 +8,7 @@ from labos.core.state import LabState
 from labos.telemetry.event_metrics import EventMetrics
 from labos.telemetry.process_metrics import ProcessMetrics, Signing, describe_process
 from labos.telemetry.series import BoundedNames, GaugeMetric, MetricRegistry
-from labos.telemetry.state_metrics import StateMetrics
-from labos.telemetry.unattended_metrics import UnattendedMetrics
+from labos.telemetry.state_metrics import StateMetrics, UnattendedMetrics
 
 WORKFLOWS, USERS = 50, 100
 """The numbers of workflows and users with their own series; later ones are ``other``."""

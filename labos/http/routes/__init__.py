@@ -27,7 +27,7 @@ from labos.http.routes import (
 
 PREFIX = "/api/v1"
 
-TAGS: dict[ModuleType, str] = {
+HEADINGS: dict[ModuleType, str] = {
     lab: "lab",
     accounts: "accounts",
     log: "log",
@@ -50,7 +50,7 @@ TAGS: dict[ModuleType, str] = {
 def list_operations(module: ModuleType) -> list[Operation]:
     """The operations of a module, in its order."""
     found = (each for each in vars(module).values() if isinstance(each, Operation))
-    return [msgspec.structs.replace(each, tag=each.tag or TAGS[module]) for each in found]
+    return [msgspec.structs.replace(each, tag=each.tag or HEADINGS[module]) for each in found]
 
 
-OPERATIONS = tuple(each for module in TAGS for each in list_operations(module))
+OPERATIONS = tuple(each for module in HEADINGS for each in list_operations(module))
