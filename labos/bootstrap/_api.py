@@ -92,7 +92,7 @@ class ApiRuntime:
     def text(self) -> str:
         """All metrics of this process, in Prometheus' text format."""
         state, work = self.kernel.state, self.link.work
-        found = self.counts.of_process
+        found = self.counts
         found.info.set(1, (state.lab.id, state.lab.name, self.settings.name))
         found.take(
             position=state.position,
@@ -102,7 +102,7 @@ class ApiRuntime:
         )
         answered = {"api": work.here, "kernel": work.by_kernel, "nobody": work.away}
         found.requests.replace({(by,): count for by, count in answered.items()})
-        return self.counts.text()
+        return found.text()
 
     def targets(self, host: str) -> list[dict[str, Any]]:
         """The addresses of this process's metrics; the kernel knows those of all others."""

@@ -20,9 +20,8 @@ from labos.http.door import WAY_BACK
 from labos.http.feed import Feed
 from labos.http.finding import Finder
 from labos.http.identity import Gate
-from labos.http.lab_kernel import LabKernel
 from labos.http.operation import Api
-from labos.http.parts import Parts
+from labos.http.parts import LabKernel, Parts
 from labos.http.server import Listening, is_own_address
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
@@ -35,7 +34,7 @@ from labos.services.accounts.accounts import FRESH_S
 from labos.services.accounts.provider_file import load_provider
 from labos.settings import OIDC, Settings
 from labos.store import SqlEventStore, open_accounts
-from labos.telemetry.signing import Signing
+from labos.telemetry.process_metrics import Signing
 
 if TYPE_CHECKING:
     from labos.services.accounts.oidc import Provider

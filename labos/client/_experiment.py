@@ -173,7 +173,8 @@ class Experiment(LoggedEvents):
     ) -> RunResult:
         """Run a workflow to its end. Raises RunFailed if it does not complete, ReplayMismatch if a restarted
         program requested another one."""
-        taken, record = self._take("run", workflow, key), self._record
+        record = self._record
+        taken = record.take("run", workflow, key)
         asked = self._make_run(taken, workflow, payload)
         with record.keep_key_on_failure(taken):
             run = record.find_run(taken, asked)
@@ -192,7 +193,8 @@ class Experiment(LoggedEvents):
     ) -> str:
         """Queue a run of a workflow; returns its id. Options are those of ``LabClient.submit``. Raises
         ReplayMismatch."""
-        taken, record = self._take("submit", workflow, key), self._record
+        record = self._record
+        taken = record.take("submit", workflow, key)
         with record.keep_key_on_failure(taken):
             asked = self._make_run(taken, workflow, payload)
             known = record.find_run(taken, asked)
@@ -213,8 +215,8 @@ class Experiment(LoggedEvents):
     ) -> list[str]:
         """Queue one run of a workflow for each payload, as ``LabClient.submit_all``; returns their ids.
         Raises ReplayMismatch."""
-        taken = self._take("submit_all", workflow, key)
         record = self._record
+        taken = record.take("submit_all", workflow, key)
         request = options.pop("request", "") or record.request_of(taken)
         asked = list_runs(workflow, payloads, request)
         with record.keep_key_on_failure(taken):
@@ -257,7 +259,7 @@ class Experiment(LoggedEvents):
         name. Creators are ids of users, or their ORCID iDs: a publication stays in the log permanently, so
         name no persons. With an ``index`` of Globus Search it can be found there, too. Raises BadInput for a
         file that cannot be read, GlobusError."""
-        taken = self._take("publish", title, key)
+        taken = self._record.take("publish", title, key)
         kept = [
             {"file": name, "sha256": self.keep_file(content), "bytes": len(content)}
             for name, content in _read_contents(files)
@@ -277,7 +279,7 @@ class Experiment(LoggedEvents):
         that is not JSON."""
         if not callable(function):
             raise BadInput(f"{name!r} needs a function.", remedy="Give a function: lambda: solver.ask().")
-        return self._record.decide(self._take("decide", name, key), name, function)
+        return self._record.decide(self._record.take("decide", name, key), name, function)
 
     def compute(
         self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
@@ -292,7 +294,7 @@ class Experiment(LoggedEvents):
         self, function: Callable[..., Any], *args: Any, where: str = "pool", key: str = "", **named: Any
     ) -> Future[Any]:
         """The same, as a future."""
-        taken = self._take("submit_compute", function, key)
+        taken = self._record.take("submit_compute", function, key)
         return self._computations.submit(function, args, named, where, taken)
 
     def compute_all(
@@ -305,7 +307,7 @@ class Experiment(LoggedEvents):
     ) -> list[Any]:
         """The results of a function for each argument, in their order. Raises ComputeFailed, ReplayMismatch,
         PlaceUnavailable."""
-        taken = self._take("compute_all", function, key)
+        taken = self._record.take("compute_all", function, key)
         with self._keep_key(taken):
             submit = self._computations.submit
             begun = [
@@ -321,7 +323,7 @@ class Experiment(LoggedEvents):
         its start, its end, each step and each further attempt are in the log. A restarted program continues
         at the same step. A flow that is defined in Globus Flows is started there once, and its end awaited.
         Raises FlowFailed if a step fails finally, unless ``check`` is false; ReplayMismatch, GlobusError."""
-        taken = self._take("run_flow", flow, key)
+        taken = self._record.take("run_flow", flow, key)
         with self._keep_key(taken):
             if isinstance(flow, Flow):
                 result = _flows.run(self._record, self._computations, taken, flow, given)
@@ -337,7 +339,7 @@ class Experiment(LoggedEvents):
         restarted program does not repeat a finished transfer. Between two places
         ``globus://<collection>/<path>``, Globus copies the file (extra ``globus``), and compares the given
         SHA-256. Raises TransferFailed, ReplayMismatch, GlobusError."""
-        taken = self._take("transfer", target, key)
+        taken = self._record.take("transfer", target, key)
         with self._keep_key(taken, TransferFailed):
             if _globus.is_globus(source) or _globus.is_globus(target):
                 return _globus.transfer(self._record, taken, source, target, self._carrier, sha256)
@@ -357,9 +359,6 @@ class Experiment(LoggedEvents):
     def keep_file(self, content: bytes) -> str:
         """Store a file in the lab; returns its SHA-256, with which ``lab.file`` returns the content."""
         return self._record.keep_file(content)
-
-    def _take(self, method: str, what: Any, key: str) -> Key:
-        return self._record.take(method, what, key)
 
     def _keep_key(self, key: Key, *failures: type[LabosError]) -> AbstractContextManager[None]:
         """As ``keep_key_on_failure``, for calls that use external services."""

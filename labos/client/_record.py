@@ -18,8 +18,8 @@ from labos.client._replay import (
     as_sent,
     check_note,
     check_run,
+    make_short_digest,
     name_of,
-    request_of,
 )
 from labos.core.canonical import digest, encode_canonical
 from labos.errors import CommitInDoubt, KeyReused, LabosError, NotFound, Refused
@@ -87,7 +87,9 @@ class ExperimentRecord:
 
     def request_of(self, key: Key) -> str:
         """The key of the request for a run."""
-        return request_of(self.experiment, key)
+        name = f"{self.experiment}/{key}"
+        is_plain = name.isascii() and name.isprintable()
+        return name if is_plain else f"{self.experiment}/{make_short_digest(key)}"
 
     def find_run(self, key: Key, asked: BatchRun) -> str:
         """The run in the log for a request; empty if there is none. Raises ReplayMismatch."""

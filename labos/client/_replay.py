@@ -84,12 +84,6 @@ class CallKeys:
                 self._taken[name] -= 1
 
 
-def request_of(experiment: str, key: str) -> str:
-    """The key of the request for a run."""
-    name = f"{experiment}/{key}"
-    return name if name.isascii() and name.isprintable() else f"{experiment}/{_make_digest(key)}"
-
-
 class ExperimentPast:
     """The log's record of an experiment. ``status``: open, cancelled, closing or ended."""
 
@@ -198,11 +192,11 @@ def _shorten_name(name: str) -> str:
     return (
         line
         if line == name and len(line) <= LONGEST_KEY
-        else f"{line[: LONGEST_KEY - 17]}~{_make_digest(name)}"
+        else f"{line[: LONGEST_KEY - 17]}~{make_short_digest(name)}"
     )
 
 
-def _make_digest(text: str) -> str:
+def make_short_digest(text: str) -> str:
     return hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest()[:16]
 
 

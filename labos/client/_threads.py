@@ -151,7 +151,7 @@ def ask_in_turn(method: Method[P, T]) -> AsyncMethod[P, T]:
     @wraps(method)
     async def work(twin: Twin, *args: P.args, **options: P.kwargs) -> T:
         _, about, *_ = signature.bind(twin.sync, *args, **options).arguments.values()
-        key = twin.sync._take(method.__name__, about, options.get("key", ""))
+        key = twin.sync._record.take(method.__name__, about, options.get("key", ""))
         return await twin.threads.wait(method, twin.sync, *args, **{**options, "key": key})
 
     return work

@@ -8,7 +8,8 @@ from typing import Any
 
 import msgspec
 
-from labos.core.campaigns import Budget, Campaign, Terms
+from labos.core.approvals import ApprovalGiven
+from labos.core.campaigns import Budget, Campaign, CampaignAmended, CampaignSubmitted, Terms
 from labos.core.conditions import find_reads
 from labos.core.decide.campaigns import SubmitCampaign
 from labos.core.decide.policy import sum_demand
@@ -19,17 +20,20 @@ from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.users import find_person
 from labos.core.viewer import Visibility
-from labos.errors import BadInput, KeyReused, SpecError
-from labos.http.bodies import Amendment, NewCampaign
-from labos.http.campaign_rows import explain_no_time, take_due
+from labos.errors import BadInput, KeyReused, NotFound, SpecError
+from labos.http.bodies import Amendment, Clone, NewCampaign
+from labos.http.campaign_rows import explain_no_time, read_definition, read_table, take_due
 from labos.http.service import LabService
 from labos.planning.certified import check_windows
 from labos.planning.lab_forecast import LabForecast
+from labos.ports import LogQuery
+from labos.services.log import Log, decode_events
 from labos.services.times import parse_until
 from labos.spec import SpecErrors, compile_workflow, parse_workflow
-from labos.spec.campaign import CampaignSource, parse_campaign, stop_rule
+from labos.spec.campaign import CampaignFile, CampaignSource, RowsEntry, parse_campaign, stop_rule
 from labos.spec.findings import Finding, FindingList, make_finding, suggest_name
-from labos.spec.rows import TableLine as RowLine
+from labos.spec.rows import TableLine
+from labos.spec.source import parse
 
 MOST_CHECKED = 2_000
 """The largest number of rows of one campaign that are planned before its submission; of a longer table so
@@ -137,6 +141,39 @@ async def keep_campaign(
     return str(campaign), estimate
 
 
+async def clone_campaign(
+    service: LabService, name: str, asked: Clone, user: str, request: str
+) -> tuple[str, Estimate]:
+    """Submit a copy of a campaign, also of one that has ended; with ``dry_run``, only check it. Raises
+    SpecErrors with each fault and its row, NotFound, Refused, KeyReused."""
+    service.expect_role(user, "submitter")
+    first, terms = await asyncio.to_thread(_read_submitted, service.parts.store, name)
+    blobs = service.parts.blobs
+    workflow = await asyncio.to_thread(read_definition, blobs, first.definition)
+    table = await asyncio.to_thread(read_table, blobs, first.table)
+    terms = amend_terms(msgspec.structs.replace(terms, deadline=0), asked, service.kernel.clock.now_ns())
+    file = CampaignFile(
+        labos=1,
+        campaign=asked.name or first.name,
+        workflow=workflow.name,
+        rows=RowsEntry(),
+        due=first.due,
+        visibility=asked.visibility or service.kernel.state.campaigns.visibility_of(first.campaign),
+    )
+    rows = [TableLine(table.read_row(number), f"rows of {name}") for number in range(len(table))]
+    content = CampaignSource(file, parse("labos: 1\n", f"campaign {name}"), rows, terms)
+    new = NewCampaign(
+        text="",
+        workflow=workflow,
+        user=user,
+        name=f"campaign {name}",
+        dry_run=asked.dry_run,
+        propose=asked.propose,
+    )
+    checked = await check_rows(service, new, content, first.workcell)
+    return await keep_campaign(service, checked, request, first.campaign)
+
+
 async def forecast_campaign(service: LabService, new: NewCampaign) -> tuple[Estimate, LabForecast]:
     """Check the whole campaign, and make its forecast. Raises as ``submit_campaign``."""
     checked = await _read(service, new)
@@ -152,6 +189,22 @@ async def _read(service: LabService, new: NewCampaign) -> CheckedCampaign:
     content = msgspec.structs.replace(content, terms=terms)
     workcell = await service.find_workcell_for(new.workflow, content.file.workcell)
     return await check_rows(service, new, content, workcell)
+
+
+def _read_submitted(log: Log, name: str) -> tuple[CampaignSubmitted, Terms]:
+    """The submitted campaign, and its last terms. Raises NotFound."""
+    kinds: tuple[Any, ...] = (CampaignSubmitted, CampaignAmended, ApprovalGiven)
+    query = LogQuery(streams=(name,), types=tuple(kind.TYPE for kind in kinds))
+    first: CampaignSubmitted | None = None
+    terms = Terms()
+    for event, _ in decode_events(log.select(query)):
+        if isinstance(event, CampaignSubmitted):
+            first, terms = event, event.terms
+        elif isinstance(event, CampaignAmended | ApprovalGiven):
+            terms = event.terms or terms
+    if first is None:
+        raise NotFound(f"There is no campaign {name!r}.", remedy="List them: labos campaign list")
+    return first, terms
 
 
 def _command(checked: CheckedCampaign, estimate: Estimate) -> SubmitCampaign:
@@ -203,7 +256,7 @@ def _parse_deadline(service: LabService, content: CampaignSource) -> int:
     return found
 
 
-def _choose_rows(lines: Sequence[RowLine]) -> list[int]:
+def _choose_rows(lines: Sequence[TableLine]) -> list[int]:
     """The rows that are planned before the submission: all, or so many, evenly spread."""
     if len(lines) <= MOST_CHECKED:
         return list(range(len(lines)))
@@ -263,7 +316,7 @@ def _plan_rows(service: LabService, checked: CheckedCampaign, rows: Sequence[int
             checked.findings.update(dict.fromkeys(compiled.findings, True))
 
 
-def _report_row(report: FindingList, row: int, line: RowLine, finding: Finding, workflow: str) -> None:
+def _report_row(report: FindingList, row: int, line: TableLine, finding: Finding, workflow: str) -> None:
     """Report a fault of a row, at its place in the table: at the value that the faulty line of the workflow
     uses, if it names one. The place in the workflow follows."""
     where, field = "", finding.field

@@ -17,8 +17,8 @@ from labos.core.repeated import RequestRepeated
 from labos.core.runs import RunCancelled, RunCancelling
 from labos.core.state import LabState
 from labos.errors import NotFound, Refused
-from labos.http.lab_kernel import LabKernel
 from labos.http.limits import Asker, Line, Name, says
+from labos.http.parts import LabKernel
 
 VERBS = ("pause", "resume", "cancel")
 

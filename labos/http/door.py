@@ -15,7 +15,6 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from labos.http import wire
-from labos.http.body_reader import drain
 from labos.http.problems import Problem, make_problem
 
 LONGEST_PATH = 4_000
@@ -41,7 +40,7 @@ class RequestFilter:
         if refusal is None:
             await self._app(scope, receive, send)
             return
-        await drain(Request(scope, receive).stream())
+        await wire.drain(Request(scope, receive).stream())
         await wire.send_problem(refusal, close=True)(scope, receive, send)
 
     def _find_refusal(self, scope: Scope) -> Problem | None:

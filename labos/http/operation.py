@@ -27,13 +27,11 @@ from labos.core.viewer import Viewer
 from labos.core.visibility import find_hidden, find_viewer
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http import wire
-from labos.http.body_reader import BodyReader, drain
 from labos.http.ends import StreamEnds
 from labos.http.idempotency import IdempotentAnswers, LoggedRequest, mark_of
 from labos.http.identity import Gate, Who
 from labos.http.limits import LARGEST_BODY, SMALL_BODY
-from labos.http.method import Method
-from labos.http.notes import Notes, notes_of
+from labos.http.notes import notes_of
 from labos.http.recorded import answer_from_log
 from labos.http.repeats import make_digest_of_request
 from labos.http.service import LabService
@@ -60,7 +58,7 @@ class Api:
         viewers = service.viewers
         self.ends = StreamEnds(self.kernel.clock, viewers.cut if viewers is not None else lambda key: None)
         gate.accounts.on_end.append(self.ends.cut_all)
-        self.arriving = BodyReader()
+        self.arriving = wire.BodyReader()
         self.idempotent = IdempotentAnswers()
         self._states: dict[tuple[bool, Viewer | None], Shared] = {}
 
@@ -73,15 +71,10 @@ class Api:
         work = partial(self._make_view, waits=waits, viewer=viewer)
         return self._states.setdefault((waits, viewer), Shared(work, self.kernel.flush))
 
-    @property
-    def _notes(self) -> Notes:
-        """The facts about nodes that are not in the log."""
-        link = self.service.link
-        return link.notes if link is not None else notes_of(self.service)
-
     def _make_view(self, *, waits: bool, viewer: Viewer | None) -> bytes:
-        hidden = find_hidden(self.kernel.state, viewer)
-        return msgspec.json.encode(make_lab_view(self.kernel, self._notes, waits=waits, hidden=hidden))
+        link, hidden = self.service.link, find_hidden(self.kernel.state, viewer)
+        notes = link.notes if link is not None else notes_of(self.service)
+        return msgspec.json.encode(make_lab_view(self.kernel, notes, waits=waits, hidden=hidden))
 
 
 class Call:
@@ -160,6 +153,35 @@ class Shape(msgspec.Struct, frozen=True, dict=True):
         """The parameters of the query that may be repeated."""
         fields = msgspec.structs.fields(self.query) if self.query is not None else ()
         return frozenset(f.encode_name for f in fields if isinstance(f.default_factory, type))
+
+
+class Method(msgspec.Struct, frozen=True):
+    """How a method of ``LabClient`` calls an operation: the client is generated from this and from the types
+    of the operation.
+
+    ``name`` begins with an underscore if a hand-written method passes its options on to the generated one;
+    ``by_hand``: there is only the hand-written one.
+
+    ``positional`` are the first parameters, in order, as ``module, by='somebody', until_ns=until``: a value
+    in quotation marks is a default, another one the name that the parameter has in the request. If it is
+    empty, they are the names in the path, the required fields of the body, and the requesting user. All other
+    parameters are keywords.
+
+    ``take`` is the member of the answer that is returned (none: nothing is returned). With ``repeat`` the
+    request may be carried out twice; with a ``key`` it is carried out once, however often it is sent.
+    ``fixed`` members of the request are always the same, those ``without`` are never sent. ``timeout_s`` goes
+    before the client's own.
+    """
+
+    name: str
+    positional: str = ""
+    take: str | None = ""
+    repeat: bool = False
+    key: Literal["", "new", "given"] = ""
+    fixed: Mapping[str, Any] = {}
+    without: tuple[str, ...] = ()
+    timeout_s: float | None = None
+    by_hand: bool = False
 
 
 class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -280,7 +302,7 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
             return await api.gate.admit(request, self.needs, by_home=self.by_home, by_link=self.by_link)
         except (NotSignedIn, Forbidden):
             request.scope[wire.UNREAD] = True
-            await drain(request.stream())
+            await wire.drain(request.stream())
             raise
 
     async def _read(self, api: Api, request: Request, who: Who) -> dict[str, msgspec.Struct]:
@@ -301,8 +323,17 @@ class Operation(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 read = partial(Operation, needs="viewer")
 """An operation that changes nothing."""
 
-change = partial(Operation, problems=("refused",))
+change = partial(Operation, needs="submitter", problems=("refused",))
 """An operation with a command that the rules may forbid in the present state."""
+
+operate = partial(change, needs="operator")
+"""A change by a person who works at the modules and the bench."""
+
+administer = partial(change, needs="admin")
+"""A change by a person who looks after the lab."""
+
+apply_file = partial(administer, problems=("refused", "spec_error", "spec_errors"))
+"""A change by a file for the whole lab."""
 
 submit = partial(
     Operation,
@@ -311,13 +342,6 @@ submit = partial(
     largest_body=LARGEST_BODY,
 )
 """An operation that reads files of a user, to plan or to submit."""
-
-
-def list_operations(names: Mapping[str, Any], tag: str) -> tuple[Operation, ...]:
-    """The operations among the ``names`` of a module, in its order; under the heading ``tag``, if they name
-    none."""
-    found = (each for each in names.values() if isinstance(each, Operation))
-    return tuple(msgspec.structs.replace(each, tag=each.tag or tag) for each in found)
 
 
 def respond(operation: Operation, found: Any) -> Response:

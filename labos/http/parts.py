@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from labos.clock import Clock
 from labos.core.ids import ModuleName
 from labos.core.model import Description
-from labos.http.lab_kernel import LabKernel
-from labos.http.views import Supervised
 from labos.ports import BlobStore, Bus
+from labos.runtime.followed import FollowedKernel
+from labos.runtime.kernel import Kernel
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.services.log import Log
+
+if TYPE_CHECKING:
+    from labos.http.recorded import RecordedKernel
+
+LabKernel: TypeAlias = "Kernel | FollowedKernel | RecordedKernel"
+"""The kernel as operations see it: in this process, in another one whose log is followed here, or as it was
+before a repeated request."""
+
+
+class Supervised(Protocol):
+    @property
+    def nodes(self) -> Mapping[str, Any]: ...
 
 
 class Metrics(Protocol):

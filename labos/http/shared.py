@@ -15,10 +15,8 @@ class Shared:
     """Requests wait together for the next answer. The answer is never older than a request. The longer an
     answer takes to compute, the longer is the pause before the next one."""
 
-    def __init__(
-        self, work: Callable[[], bytes], written: Callable[[], Awaitable[None]], load: float = LOAD
-    ) -> None:
-        self._work, self._written, self._load = work, written, load
+    def __init__(self, work: Callable[[], bytes], written: Callable[[], Awaitable[None]]) -> None:
+        self._work, self._written = work, written
         self._next: asyncio.Task[bytes] | None = None
         self._rest_until = 0.0
 
@@ -38,6 +36,6 @@ class Shared:
         begun = time.monotonic()
         answer = self._work()
         took = time.monotonic() - begun
-        self._rest_until = begun + took + min(took / self._load, LONGEST_PAUSE_S)
+        self._rest_until = begun + took + min(took / LOAD, LONGEST_PAUSE_S)
         await self._written()
         return answer

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import islice
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import msgspec
 import structlog
@@ -30,8 +30,8 @@ from labos.core.state import LabState
 from labos.core.structs import make_from
 from labos.core.topics import Choice
 from labos.core.waits import Wait
-from labos.http.lab_kernel import LabKernel
 from labos.http.notes import Notes
+from labos.http.parts import LabKernel
 from labos.planning.due import find_time_left
 from labos.planning.forecast import find_setup_in_progress
 from labos.planning.obstacle import explain_wait
@@ -50,11 +50,6 @@ OldName = Annotated[
 """A deprecated field for older programs."""
 
 _log = structlog.get_logger(__name__)
-
-
-class Supervised(Protocol):
-    @property
-    def nodes(self) -> Mapping[str, Any]: ...
 
 
 class AccessView(msgspec.Struct, frozen=True):

@@ -1,4 +1,5 @@
-"""Tools that plan: they check possible proposals and change nothing."""
+"""Tools that plan: they check possible proposals and change nothing. And tools that propose: their
+submissions wait until an operator has approved them."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ from labos.mcp.pages import LONGEST, cut, encode_answer
 
 USER = "agent"
 """The name under which an agent proposes in a lab without users."""
+
+WAITS = "It has not started; it starts only if an operator approves it."
 
 
 class Plan:
@@ -31,7 +34,7 @@ class Plan:
         consumption, dangerous steps, and the reason why it would wait for an approval. Nothing is submitted.
         `payload` are its values; `files` are the texts of the files that its arguments name, by name."""
         checked = self._lab.check(
-            workflow_of(workflow, files),
+            _workflow_of(workflow, files),
             payload=payload or {},
             user=USER,
             workcell=workcell,
@@ -50,19 +53,75 @@ class Plan:
         """Checks the text of a campaign (YAML) row by row with the text of its workflow, and estimates what
         all rows need. Nothing is submitted. `tables` are the texts of the tables that it names, by name."""
         checked = self._lab.submit_campaign(
-            campaign_of(campaign, workflow, tables, files), user=USER, dry_run=True
+            _campaign_of(campaign, workflow, tables, files), user=USER, dry_run=True
         )
         return encode_answer(cut(checked["estimate"], LONGEST))
 
 
-def workflow_of(text: str, files: Mapping[str, str] | None) -> dict[str, Any]:
+class Propose:
+    """Tools for submissions that always wait for an approval, also if the lab's policy and the token do not
+    require it."""
+
+    def __init__(self, lab: LabClient) -> None:
+        self._lab = lab
+
+    def propose_run(
+        self,
+        workflow: str,
+        payload: dict[str, Any] | None = None,
+        workcell: str = "",
+        priority: int = 0,
+        files: dict[str, str] | None = None,
+        key: str = "",
+    ) -> str:
+        """Proposes a run of a workflow (its text, YAML). It waits until an operator has approved it; you
+        cannot start it. Check it first with `check_workflow`. Two proposals with the same `key` count as
+        one."""
+        run = self._lab.submit(
+            _workflow_of(workflow, files),
+            payload or {},
+            user=USER,
+            workcell=workcell,
+            priority=priority,
+            request=key,
+            propose=True,
+        )
+        return encode_answer({"run": run, "warnings": self._lab.warnings}, meaning=WAITS)
+
+    def propose_campaign(
+        self,
+        campaign: str,
+        workflow: str,
+        tables: dict[str, str] | None = None,
+        files: dict[str, str] | None = None,
+        key: str = "",
+    ) -> str:
+        """Proposes a campaign (its text, YAML): a workflow for each row of a table. It waits until an
+        operator has approved it; you cannot start it. Check it first with `check_campaign`. Two proposals
+        with the same `key` count as one."""
+        answer = self._lab.submit_campaign(
+            _campaign_of(campaign, workflow, tables, files), user=USER, request=key, propose=True
+        )
+        return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
+
+    def propose_clone(self, campaign: str, name: str = "", priority: int | None = None, key: str = "") -> str:
+        """Proposes a copy of a campaign, with the same rows and workflow. `campaign` is the id of the
+        original, such as C3, which may have ended; `name` is the name of the copy. It waits until an operator
+        has approved it; you cannot start it. Two proposals with the same `key` count as one."""
+        answer = self._lab.clone_campaign(
+            campaign, USER, request=key, name=name, priority=priority, propose=True
+        )
+        return encode_answer({"campaign": answer["campaign"], "why": answer["approval"]}, meaning=WAITS)
+
+
+def _workflow_of(text: str, files: Mapping[str, str] | None) -> dict[str, Any]:
     return {"text": text, "name": "workflow.yaml", "files": _encode(files)}
 
 
-def campaign_of(
+def _campaign_of(
     text: str, workflow: str, tables: Mapping[str, str] | None, files: Mapping[str, str] | None
 ) -> dict[str, Any]:
-    workflow_text = workflow_of(workflow, files)
+    workflow_text = _workflow_of(workflow, files)
     return {"text": text, "name": "campaign.yaml", "workflow": workflow_text, "files": _encode(tables)}
 
 

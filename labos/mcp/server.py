@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 from labos.client import LabClient
 from labos.errors import BadInput, LabosError
 from labos.mcp.look import Look
-from labos.mcp.plan import Plan
-from labos.mcp.propose import Propose
+from labos.mcp.plan import Plan, Propose
 from labos.version import VERSION
 
 if TYPE_CHECKING:

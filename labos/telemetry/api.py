@@ -2,26 +2,12 @@
 
 from __future__ import annotations
 
-from labos.telemetry.process_metrics import describe_process
+from labos.telemetry.process_metrics import Signing, describe_process
 from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup, MetricRegistry
-from labos.telemetry.signing import Signing
 
 
-class ApiMetrics:
-    """Updated at each scrape."""
-
-    def __init__(self) -> None:
-        self.of_process = ApiProcessMetrics()
-        self.signing = Signing()
-        self.registry = MetricRegistry([*self.of_process.families, *self.signing.families])
-
-    def text(self) -> str:
-        """Everything, in Prometheus' text format."""
-        return self.registry.text() + describe_process()
-
-
-class ApiProcessMetrics(MetricGroup):
-    """The metrics of an API process itself."""
+class ApiMetrics(MetricGroup):
+    """The metrics of the process itself, and those of signing in; updated at each scrape."""
 
     def __init__(self) -> None:
         self.info = GaugeMetric(
@@ -47,3 +33,9 @@ class ApiProcessMetrics(MetricGroup):
         self.kernel_s = ComputedCounter(
             "labos_api_kernel_seconds_total", "Time that the kernel took for the requests that it answered."
         )
+        self.signing = Signing()
+        self.registry = MetricRegistry([*self.families, *self.signing.families])
+
+    def text(self) -> str:
+        """Everything, in Prometheus' text format."""
+        return self.registry.text() + describe_process()

@@ -26,8 +26,14 @@ from labos.core.plans import PlanRecorded
 from labos.core.registry import TYPES, list_handlers
 from labos.core.resources import ResourceConsumed
 from labos.core.state import LabState
-from labos.telemetry.bounded import BoundedNames
-from labos.telemetry.series import ACTION_BOUNDS_S, ComputedCounter, CounterMetric, Distribution, MetricGroup
+from labos.telemetry.series import (
+    ACTION_BOUNDS_S,
+    BoundedNames,
+    ComputedCounter,
+    CounterMetric,
+    Distribution,
+    MetricGroup,
+)
 
 if TYPE_CHECKING:
     from labos.runtime.ledger import Entry

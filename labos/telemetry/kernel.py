@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from labos.core.state import LabState
-from labos.telemetry.bounded import BoundedNames
 from labos.telemetry.event_metrics import EventMetrics
-from labos.telemetry.process_metrics import ProcessMetrics, describe_process
-from labos.telemetry.series import GaugeMetric, MetricRegistry
-from labos.telemetry.signing import Signing
-from labos.telemetry.state_metrics import StateMetrics
-from labos.telemetry.unattended_metrics import UnattendedMetrics
+from labos.telemetry.process_metrics import ProcessMetrics, Signing, describe_process
+from labos.telemetry.series import BoundedNames, GaugeMetric, MetricRegistry
+from labos.telemetry.state_metrics import StateMetrics, UnattendedMetrics
 
 WORKFLOWS, USERS = 50, 100
 """The numbers of workflows and users with their own series; later ones are ``other``."""

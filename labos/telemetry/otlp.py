@@ -62,9 +62,19 @@ class OtlpSender:
         self._trace, self._span, self._resource = trace, ReadableSpan, Resource.create(dict(attributes))
         self._scope = InstrumentationScope("labos")
         endpoint = url.rstrip("/").removesuffix(PATH) + PATH
-        exporter: Any = _Counted(OTLPSpanExporter(endpoint=endpoint, timeout=TIMEOUT_S), self)
+        sender = self
+
+        class Counted(OTLPSpanExporter):
+            """Counts the spans which the receiver has accepted."""
+
+            def export(self, spans: Sequence[Any]) -> Any:
+                result = super().export(spans)
+                if result.name == "SUCCESS":
+                    sender.taken += len(spans)
+                return result
+
         self._processor = BatchSpanProcessor(
-            exporter,
+            Counted(endpoint=endpoint, timeout=TIMEOUT_S),
             max_queue_size=QUEUE,
             max_export_batch_size=BATCH,
             schedule_delay_millis=SEND_EVERY_S * 1000,
@@ -100,22 +110,3 @@ class OtlpSender:
         ending = threading.Thread(target=self._processor.shutdown, name="otlp-end", daemon=True)
         ending.start()
         ending.join(CLOSE_S)
-
-
-class _Counted:
-    """An exporter that counts the spans which the receiver has accepted."""
-
-    def __init__(self, exporter: Any, sender: OtlpSender) -> None:
-        self._exporter, self._sender = exporter, sender
-
-    def export(self, spans: Sequence[Any]) -> Any:
-        result = self._exporter.export(spans)
-        if result.name == "SUCCESS":
-            self._sender.taken += len(spans)
-        return result
-
-    def shutdown(self) -> None:
-        self._exporter.shutdown()
-
-    def force_flush(self, timeout_millis: int = 30_000) -> bool:
-        return bool(self._exporter.force_flush(timeout_millis))

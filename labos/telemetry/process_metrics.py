@@ -1,13 +1,14 @@
-"""Metrics of kernel, log, store, bus and disk, from given readings."""
+"""Metrics of kernel, log, store, bus and disk, from given readings; and those of signing in."""
 
 from __future__ import annotations
 
 import platform
+from collections.abc import Callable
 from functools import cache
 
 from prometheus_client import CollectorRegistry, PlatformCollector, ProcessCollector, generate_latest
 
-from labos.telemetry.series import ComputedCounter, GaugeMetric, MetricGroup
+from labos.telemetry.series import ComputedCounter, CounterMetric, GaugeMetric, MetricGroup
 from labos.version import VERSION
 
 
@@ -88,3 +89,30 @@ class ProcessMetrics(MetricGroup):
     def lose(self) -> None:
         """Record that the log cannot be written; the other metrics keep their values."""
         self.take(available=0)
+
+
+class Signing(MetricGroup):
+    """Accepted and refused sign-ins and requests over HTTP, counted as they happen."""
+
+    def __init__(self) -> None:
+        self.tries = CounterMetric(
+            "labos_sign_ins_total",
+            "Attempts to sign in; outcome is right, wrong or too_many.",
+            ("outcome",),
+            most=3,
+        )
+        self.refused = CounterMetric(
+            "labos_requests_refused_total",
+            "Refused requests; reason is not_signed_in or forbidden.",
+            ("reason",),
+            most=2,
+        )
+        for outcome in ("right", "wrong", "too_many"):
+            self.tries.begin((outcome,))
+        for reason in ("not_signed_in", "forbidden"):
+            self.refused.begin((reason,))
+
+    def watch(self, on_try: list[Callable[[str], None]], on_refusal: list[Callable[[str], None]]) -> None:
+        """Count the results of the parts that admit users."""
+        on_try.append(lambda outcome: self.tries.add((outcome,)))
+        on_refusal.append(lambda reason: self.refused.add((reason,)))

@@ -29,6 +29,22 @@ ACTION_BOUNDS_S = (0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 18
 """The bounds for distributions of the duration of actions: from a tenth of a second to an hour."""
 
 
+class BoundedNames:
+    """Names from outside as labels: the first ``most`` names keep their labels as long as the process runs;
+    all later ones share one."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._known: dict[str, bool] = {}
+
+    def __call__(self, name: str) -> str:
+        if name not in self._known:
+            if len(self._known) >= self._most:
+                return OTHER
+            self._known[name] = True
+        return name
+
+
 class LabMetric:
     """All series of one metric. ``most`` limits the number of sets of labels; later ones share a set whose
     labels are all ``other``."""

@@ -1,10 +1,13 @@
-"""The present state of the lab: gauges computed from the folded state at each scrape."""
+"""The present state of the lab: gauges computed from the folded state at each scrape; and the time without
+human intervention."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from functools import lru_cache, partial
+from typing import TYPE_CHECKING
 
 from labos.core.calibrations import find_first_expiry
 from labos.core.days import end_of
@@ -12,8 +15,10 @@ from labos.core.ids import ModuleName, StationName, local, split_level_key, work
 from labos.core.open_experiments import ExperimentStatus
 from labos.core.state import LabState
 from labos.planning.scheduler import Scheduler
-from labos.telemetry.bounded import BoundedNames
-from labos.telemetry.series import GaugeMetric, Labels, MetricGroup
+from labos.telemetry.series import BoundedNames, ComputedCounter, GaugeMetric, Labels, MetricGroup
+
+if TYPE_CHECKING:
+    from labos.services.twh import Twh
 
 MODULE_STATES = ("idle", "busy", "error", "gone", "out_of_service")
 RUN_STATES = ("queued", "active", "paused", "cancelling", "leaving")
@@ -243,6 +248,48 @@ class StateMetrics(MetricGroup):
         for key in list(found):
             if key not in seen and len(seen) < most * len(RUN_STATES):
                 seen.update({(*key[:-1], state): True for state in RUN_STATES})
+
+
+class UnattendedMetrics(MetricGroup):
+    """Time without human intervention, as ``docs/time-without-human-intervention.md`` defines it: the figures
+    of the lab (scope ``lab``, no workcell) and of each workcell. They exist as soon as the log was read from
+    its beginning."""
+
+    def __init__(self) -> None:
+        gauge = partial(GaugeMetric, labels=("scope", "workcell"), most=250)
+        counter = partial(ComputedCounter, labels=("scope", "workcell"), most=250)
+        self.current_s = gauge("labos_twh_current_seconds", "Working time since the last human intervention.")
+        self.longest_s = gauge(
+            "labos_twh_longest_seconds", "The longest working time without a human intervention so far."
+        )
+        self.working = gauge(
+            "labos_twh_working", "1 while the clock runs: a run is under way and does not wait for a person."
+        )
+        self.clock_s = counter(
+            "labos_twh_clock_seconds_total", "Total working time, with and without people."
+        )
+        self.planned = counter(
+            "labos_planned_touches_total",
+            "Planned work of people, which does not end a stretch without intervention.",
+        )
+        self.interventions = ComputedCounter(
+            "labos_human_interventions_total",
+            "Interventions that ended a stretch, by cause: the kind of question, or the type of the event "
+            "that a person caused.",
+            ("cause",),
+            most=100,
+        )
+
+    def update(self, lab: Twh, workcells: Mapping[str, Twh], causes: Mapping[str, int]) -> None:
+        """Take the figures of all scopes at one moment."""
+        scopes: dict[Labels, Twh] = {("lab", ""): lab}
+        scopes.update({("workcell", name): twh for name, twh in workcells.items()})
+        self.current_s.replace({key: twh.current.worked_ns / 1e9 for key, twh in scopes.items()})
+        self.longest_s.replace({key: twh.longest.worked_ns / 1e9 for key, twh in scopes.items()})
+        self.working.replace({key: float(twh.working) for key, twh in scopes.items()})
+        self.clock_s.replace({key: twh.clock_ns / 1e9 for key, twh in scopes.items()})
+        self.planned.replace({key: float(twh.planned) for key, twh in scopes.items()})
+        self.interventions.replace({(cause,): float(count) for cause, count in causes.items()})
 
 
 OWN = "bench"

@@ -21,8 +21,7 @@ from msgspec import NODEFAULT
 
 from labos.client import LabClient
 from labos.http import limits, routes
-from labos.http.method import Method
-from labos.http.operation import JSON, Operation
+from labos.http.operation import JSON, Method, Operation
 from labos.http.problems import PROBLEMS
 from tests.docs.markdown import ROOT
 
@@ -261,7 +260,9 @@ def _raises(operation: Operation) -> str:
 def files() -> dict[Path, str]:
     """Every generated file with its text."""
     operations = {
-        name: [operation for module in modules for operation in getattr(routes, module).OPERATIONS]
+        name: [
+            operation for module in modules for operation in routes.list_operations(getattr(routes, module))
+        ]
         for name, modules in CLASSES.items()
     }
     assert sum(map(len, operations.values())) == len(routes.OPERATIONS)

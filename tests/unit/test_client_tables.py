@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from labos.client._tables import rows_of
+from labos.client._lab import rows_of
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
+import msgspec
+
 from labos.http.operation import Operation
 from labos.http.routes import (
     accounts,
@@ -23,22 +27,30 @@ from labos.http.routes import (
 
 PREFIX = "/api/v1"
 
-OPERATIONS: tuple[Operation, ...] = (
-    *lab.OPERATIONS,
-    *accounts.OPERATIONS,
-    *log.OPERATIONS,
-    *finding.OPERATIONS,
-    *words.OPERATIONS,
-    *forecasts.OPERATIONS,  # before runs: /runs/forecast is not a run
-    *planning.OPERATIONS,  # before runs: /runs/check is not a run
-    *runs.OPERATIONS,
-    *campaigns.OPERATIONS,
-    *signatures.OPERATIONS,
-    *approvals.OPERATIONS,
-    *modules.OPERATIONS,
-    *bookings.OPERATIONS,
-    *bench.OPERATIONS,
-    *people.OPERATIONS,
-)
+HEADINGS: dict[ModuleType, str] = {
+    lab: "lab",
+    accounts: "accounts",
+    log: "log",
+    finding: "log",
+    words: "log",
+    forecasts: "runs",  # before runs: /runs/forecast is not a run
+    planning: "workcells",  # before runs: /runs/check is not a run
+    runs: "runs",
+    campaigns: "campaigns",
+    signatures: "runs",
+    approvals: "approvals",
+    modules: "modules",
+    bookings: "bookings",
+    bench: "bench",
+    people: "people",
+}
+"""The modules with operations, in the order of the routes; each with the heading for those that name none."""
 
-__all__ = ["OPERATIONS", "PREFIX"]
+
+def list_operations(module: ModuleType) -> list[Operation]:
+    """The operations of a module, in its order."""
+    found = (each for each in vars(module).values() if isinstance(each, Operation))
+    return [msgspec.structs.replace(each, tag=each.tag or HEADINGS[module]) for each in found]
+
+
+OPERATIONS = tuple(each for module in HEADINGS for each in list_operations(module))

@@ -15,8 +15,7 @@ from labos.errors import BadInput, Forbidden, NotSignedIn
 from labos.http import signing
 from labos.http.identity import SIGN_IN
 from labos.http.limits import Name, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read
+from labos.http.operation import Call, Method, Operation, read
 from labos.http.providing import find_user_meant
 from labos.http.queries import OfUser
 from labos.http.signing import (
@@ -358,6 +357,3 @@ async def link_identity(call: Call, path: OfUser, body: signing.ProviderIdentity
     expect_self_or_admin(call, path.user)
     await call.api.gate.accounts.link(body.issuer, body.subject, path.user)
     return signing.UserReference(path.user)
-
-
-OPERATIONS = list_operations(globals(), "accounts")

@@ -20,8 +20,7 @@ from labos.errors import BadInput, NotFound
 from labos.http.bodies import Amendment, Amounts, Asked, Limit
 from labos.http.campaigns import ConsumableEstimate, amend_terms, estimate_consumables
 from labos.http.limits import Amount, Asker, FileName, FileText, Line, Name, Priority, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, apply_file, operate, read
 from labos.http.routes.forecasts import FORECAST_S, hide_others
 from labos.http.tail import PAGE
 from labos.planning.lab_forecast import LabForecast
@@ -193,11 +192,10 @@ async def forecast_approval(call: Call, path: OfProposal) -> ProposalForecast:
     return ProposalForecast(hide_others(forecast, call), consumables)
 
 
-@change(
+@operate(
     route="POST /approvals/{subject}/approve",
     client=Method("approve", "subject, by, digest", take="digest", repeat=True),
     summary="Approve a submission, as it is or with changes",
-    needs="operator",
     example={"by": "olga", "digest": "ab" * 32, "comment": "looked at it", "runs": 20},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -224,11 +222,10 @@ def _read_changes(call: Call, proposal: Proposal, body: ApprovalTerms) -> tuple[
     return None, terms if terms != asked or proposal.kind in ("run", "experiment") else None
 
 
-@change(
+@operate(
     route="POST /approvals/{subject}/refuse",
     client=Method("refuse", take="digest", repeat=True),
     summary="Refuse a submission",
-    needs="operator",
     example={"by": "olga", "comment": "too many plates"},
     example_answer={"subject": "C1", "digest": "ab" * 32},
 )
@@ -250,12 +247,10 @@ def get_policy(call: Call) -> PolicyView:
     return PolicyView(approvals.applied, approvals.policy)
 
 
-@Operation(
+@apply_file(
     route="POST /policy",
     client=Method("apply_policy", "text, file=name, by", take=None, repeat=True),
     summary="Apply a policy file",
-    needs="admin",
-    problems=("refused", "spec_error", "spec_errors"),
     example={"text": _POLICY, "by": "ada", "name": "policy.yaml"},
     example_answer={"digest": "ab" * 32},
 )
@@ -285,6 +280,3 @@ def _find_terms(state: LabState, proposal: Proposal) -> Terms | None:
     """The terms of a campaign after the approval; None for a submission without terms."""
     campaign = state.campaigns.open.get(CampaignId(proposal.subject))
     return proposal.terms or (campaign.terms if campaign is not None else None)
-
-
-OPERATIONS = list_operations(globals(), "approvals")

@@ -24,15 +24,13 @@ from labos.http.bodies import (
     Observation,
     SampleSheet,
 )
-from labos.http.declare import declare_bench
 from labos.http.limits import check_person
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read, submit
+from labos.http.operation import Call, Method, Operation, change, operate, read, submit
 from labos.http.queries import OfIntervention, OfLabware
 from labos.http.round import Round, RoundReport, RoundResult, round_view, say
 from labos.http.samples import register_samples
 from labos.http.service import LabService
-from labos.http.stock import LabwarePlacement, Load, Unload, load, unload
+from labos.http.stock import LabwarePlacement, Load, Unload, declare_bench, load, unload
 
 EMPTY = "empty"
 
@@ -97,7 +95,7 @@ class SampleCounts(msgspec.Struct, frozen=True):
     plates: dict[str, int]
 
 
-_report = partial(Operation, needs="operator", problems=("not_found", "refused"))
+_report = partial(operate, problems=("not_found", "refused"))
 """What a person reports about a station."""
 
 
@@ -105,7 +103,6 @@ _report = partial(Operation, needs="operator", problems=("not_found", "refused")
     route="POST /interventions/{intervention}",
     client=Method("resolve", "intervention, choice, by, note, result", take=None),
     summary="Answer a question",
-    needs="submitter",
     example={"choice": "done", "by": "ada", "note": "it stood askew"},
     example_answer={"intervention": "I1", "choice": "done"},
 )
@@ -230,7 +227,6 @@ async def report_round(call: Call, body: RoundReport) -> RoundResult:
     route="POST /labware/{labware}/barcode",
     client=Method("barcode", take=None, repeat=True),
     summary="Record the barcode of labware",
-    needs="submitter",
     status=201,
     example={"barcode": "4006381333931", "by": "ada"},
     example_answer={"labware": "P7"},
@@ -246,7 +242,6 @@ async def label_labware(call: Call, path: OfLabware, body: BarcodeLabel) -> Labw
     route="POST /labware/{labware}/owner",
     client=Method("give", take=None, repeat=True),
     summary="Give labware to another owner",
-    needs="submitter",
     status=201,
     example={"to": "user:bo", "by": "ada"},
     example_answer={"labware": "P7", "owner": "user:bo"},
@@ -292,6 +287,3 @@ def _sight(service: LabService, place: StationName, what: str, by: str) -> Obser
         f"{what!r} is neither labware on the bench nor a labware type.",
         remedy=f"Give empty, a number, an id such as P7, a barcode, or one of {', '.join(types)}.",
     )
-
-
-OPERATIONS = list_operations(globals(), "bench")

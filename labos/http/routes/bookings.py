@@ -19,8 +19,7 @@ from labos.core.words import list_references, put_into_text
 from labos.errors import BadInput, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Line, Name, Time, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, change, read
 from labos.http.service import LabService
 from labos.services.shown import read_texts
 
@@ -193,11 +192,10 @@ def list_bookings(call: Call, query: BookingsQuery) -> BookingList:
     return BookingList(sorted(views, key=lambda one: (one.next_begins_at, one.begins_at, one.id)))
 
 
-@Operation(
+@change(
     route="POST /bookings",
     client=Method("book", "target, begins_at, ends_at, by", key="new"),
     summary="Book a module or a workcell",
-    needs="submitter",
     status=201,
     problems=("refused", "not_found"),
     example={
@@ -237,7 +235,6 @@ def get_booking(call: Call, path: OfBooking) -> BookingView:
     route="POST /bookings/{booking}/change",
     client=Method("change_booking", repeat=True),
     summary="Change the time or the owner of a booking",
-    needs="submitter",
     example={"begins_at": _AT, "ends_at": _AT + 7_200_000_000_000, "by": "ada"},
     example_answer=_BOOKING,
 )
@@ -254,7 +251,6 @@ async def change_booking(call: Call, path: OfBooking, body: BookingChange) -> Bo
     route="POST /bookings/{booking}/cancel",
     client=Method("cancel_booking", take=None, key="new"),
     summary="Cancel a booking, or one time of it",
-    needs="submitter",
     example={"by": "ada", "why": "not needed"},
     example_answer={"booking": "B3", "begins_at": 0},
 )
@@ -424,6 +420,3 @@ def _find_owner(state: LabState, owner: str, by: str) -> tuple[str, str]:
             )
         return "", owner
     return owner, ""
-
-
-OPERATIONS = list_operations(globals(), "bookings")

@@ -27,12 +27,18 @@ from labos.http.bodies import (
     NewCampaign,
     SharesFile,
 )
-from labos.http.campaigns import CampaignView, Estimate, amend_terms, make_view, submit_campaign
-from labos.http.cloning import clone_campaign
+from labos.http.campaigns import (
+    CampaignView,
+    Estimate,
+    amend_terms,
+    clone_campaign,
+    make_view,
+    submit_campaign,
+)
 from labos.http.limits import SMALL_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read, submit
+from labos.http.operation import Call, Method, apply_file, change, read, submit
 from labos.http.queries import OfCampaign
+from labos.http.routes.runs import TIMED_WORKFLOW
 from labos.services.proposals import describe_waiting
 from labos.services.shares import ShareAccount, make_ledger
 from labos.spec.shares import parse_shares
@@ -80,13 +86,14 @@ class SharesReference(msgspec.Struct, frozen=True):
     digest: str
 
 
-_WORKFLOW = (
-    "labos: 1\nname: seal\nsteps:\n"
-    "  - {name: seal, module: sealer, action: seal, args: {time: payload.time}}\n"
-)
-_CAMPAIGN = (
-    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
-)
+CAMPAIGN = {
+    "text": "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\n"
+    "rows: {list: [{time: 2.0}, {time: 3.0}]}\n",
+    "workflow": TIMED_WORKFLOW,
+    "user": "ada",
+}
+"""A campaign for examples."""
+
 _SHARES = "labos: 1\ngroups:\n  chemistry: {weight: 2, members: {ada: {}}}\n"
 
 
@@ -107,12 +114,7 @@ def list_campaigns(call: Call) -> Campaigns:
     status=201,
     other_statuses={200: "It was only checked (`dry_run`)"},
     logs_key=True,
-    example={
-        "text": _CAMPAIGN,
-        "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
-        "user": "ada",
-        "dry_run": True,
-    },
+    example={**CAMPAIGN, "dry_run": True},
     answer=CampaignSubmission,
 )
 async def submit_campaign_file(call: Call, body: NewCampaign) -> Response:
@@ -136,7 +138,6 @@ def get_campaign(call: Call, path: OfCampaign) -> CampaignView:
     route="POST /campaigns/{campaign}/pause",
     client=Method("pause_campaign", take=None, repeat=True),
     summary="Pause a campaign: no further row is submitted",
-    needs="submitter",
     example={"by": "ada", "why": "lunch"},
     example_answer={"campaign": "C1"},
 )
@@ -151,7 +152,6 @@ async def pause_campaign(call: Call, path: OfCampaign, body: CampaignPause) -> C
     route="POST /campaigns/{campaign}/resume",
     client=Method("resume_campaign", take=None, repeat=True),
     summary="Resume a paused campaign",
-    needs="submitter",
     example={"by": "ada"},
     example_answer={"campaign": "C1"},
 )
@@ -165,7 +165,6 @@ async def resume_campaign(call: Call, path: OfCampaign, body: By) -> CampaignRef
     route="POST /campaigns/{campaign}/cancel",
     client=Method("cancel_campaign", take=None, repeat=True),
     summary="Cancel a campaign",
-    needs="submitter",
     example={"by": "ada", "why": "wrong plates"},
     example_answer={"campaign": "C1"},
 )
@@ -176,11 +175,10 @@ async def cancel_campaign(call: Call, path: OfCampaign, body: CampaignCancel) ->
     return CampaignReference(name)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/amend",
     client=Method("_amend_campaign", repeat=True),
     summary="Change the terms of a campaign",
-    needs="submitter",
     problems=("refused", "spec_error"),
     example={"by": "ada", "priority": 5, "runs": 100},
 )
@@ -214,11 +212,10 @@ async def clone_a_campaign(call: Call, path: OfCampaign, body: Clone) -> Respons
     return wire.answer(submission, 200 if body.dry_run else 201)
 
 
-@Operation(
+@change(
     route="POST /campaigns/{campaign}/archive",
     client=Method("archive_campaign", take=None, repeat=True),
     summary="Hide a campaign that has ended from lists",
-    needs="submitter",
     problems=("not_found", "refused"),
     example={"by": "ada"},
     example_answer={"campaign": "C1"},
@@ -239,12 +236,10 @@ def list_shares(call: Call) -> Shares:
     return Shares(make_ledger(call.kernel.state, call.kernel.clock.now_ns()))
 
 
-@Operation(
+@apply_file(
     route="POST /shares",
     client=Method("apply_shares", "text, file=name, by", take=None, repeat=True),
     summary="Apply a shares file with weights and quotas",
-    needs="admin",
-    problems=("refused", "spec_error", "spec_errors"),
     example={"text": _SHARES, "by": "ada", "name": "shares.yaml"},
     example_answer={"digest": "ab" * 32},
 )
@@ -263,6 +258,3 @@ def _open_campaign(call: Call, path: OfCampaign) -> Campaign:
             remedy="See its history: labos campaign show",
         )
     return known
-
-
-OPERATIONS = list_operations(globals(), "campaigns")

@@ -10,8 +10,7 @@ from labos.audit.find import MOST_FOUND, SearchQuery, SearchResult
 from labos.core.structs import make_from
 from labos.errors import Refused
 from labos.http.limits import Line, Time, says
-from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read
+from labos.http.operation import Call, Method, read
 from labos.http.queries import Several
 
 
@@ -60,6 +59,3 @@ async def find_entries(call: Call, query: FindQuery) -> SearchResult:
     if finder is None:
         raise Refused("This lab has no search index.", remedy="Ask in its folder: labos find")
     return await finder.find(make_from(SearchQuery, query, hidden=tuple(sorted(call.hidden))))
-
-
-OPERATIONS = list_operations(globals(), "log")

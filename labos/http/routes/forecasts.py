@@ -7,8 +7,9 @@ import msgspec
 from labos.core.lengths import Drift, find_drifts
 from labos.http.bodies import NewCampaign, NewRun
 from labos.http.campaigns import Estimate, forecast_campaign
-from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read, submit
+from labos.http.operation import Call, Method, read, submit
+from labos.http.routes.campaigns import CAMPAIGN
+from labos.http.routes.runs import WORKFLOW
 from labos.planning.lab_forecast import LabForecast
 from labos.spec.findings import Finding
 
@@ -34,12 +35,6 @@ class CampaignForecast(msgspec.Struct, frozen=True):
     forecast: LabForecast
 
 
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-_TIMED = _WORKFLOW.replace("action: seal}", "action: seal, args: {time: payload.time}}")
-_CAMPAIGN = (
-    "labos: 1\ncampaign: sealing times\nworkflow: seal.yaml\nrows: {list: [{time: 2.0}, {time: 3.0}]}\n"
-)
-
 FORECAST_S = 180.0
 """How many seconds the lab may take for a forecast."""
 
@@ -63,7 +58,7 @@ async def get_forecast(call: Call) -> Forecast:
     route="POST /runs/forecast",
     client=Method("_forecast_run", "workflow", repeat=True, timeout_s=FORECAST_S),
     summary="Forecast when a run would start and end, without submitting it",
-    example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+    example={"workflow": WORKFLOW, "user": "ada"},
 )
 async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     """Nothing is submitted or stored. The run counts as approved."""
@@ -79,11 +74,7 @@ async def forecast_run(call: Call, body: NewRun) -> RunForecast:
     client=Method("forecast_campaign", by_hand=True),
     summary="Forecast a campaign and its needs, without submitting it",
     tag="campaigns",
-    example={
-        "text": _CAMPAIGN,
-        "workflow": {"text": _TIMED, "name": "seal.yaml"},
-        "user": "ada",
-    },
+    example=CAMPAIGN,
 )
 async def forecast_campaign_file(call: Call, body: NewCampaign) -> CampaignForecast:
     """The campaign is checked row by row. Nothing is submitted or stored. It counts as approved."""
@@ -105,6 +96,3 @@ def hide_others(forecast: LabForecast, call: Call) -> LabForecast:
         touches=[touch for touch in forecast.touches if touch.run not in runs],
         delays=[delay for delay in forecast.delays if delay.campaign not in hidden],
     )
-
-
-OPERATIONS = list_operations(globals(), "runs")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import msgspec
 from starlette.responses import Response
 
@@ -13,8 +15,7 @@ from labos.http.asking import NodeAnswer, ask_nodes
 from labos.http.bodies import EmergencyStop
 from labos.http.control import ControlRequest, ControlResult, control
 from labos.http.limits import name_in_emergency
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read
+from labos.http.operation import Call, Method, Operation, change, read
 from labos.http.queries import NodesQuery, StateQuery
 from labos.http.views import LabView
 from labos.runtime.stop import StopReport
@@ -56,6 +57,15 @@ class NodeAnswers(msgspec.Struct, frozen=True):
 _NODE = {"module": "rpl/sealer", "name": "rpl/sealer", "answer": "IDLE", "why": "", "checked": None}
 _CONTROL = {"target": "rpl/ot2_pcr_alpha", "by": "ada", "why": "new tips"}
 _CONTROLLED = {"kind": "module", "target": "rpl/ot2_pcr_alpha", "runs": []}
+
+_control = partial(
+    change,
+    client=Method("control", by_hand=True),
+    problems=("not_found", "refused"),
+    example=_CONTROL,
+    example_answer=_CONTROLLED,
+)
+"""A pause, a resumption or a cancellation of whatever a name stands for."""
 
 
 @read(
@@ -117,39 +127,27 @@ async def list_nodes(call: Call, query: NodesQuery) -> NodeAnswers:
     return NodeAnswers(found)
 
 
-@Operation(
+@_control(
     route="POST /control/pause",
-    client=Method("control", by_hand=True),
     summary="Pause a run, an experiment, a module, a workcell or the lab",
-    needs="submitter",
-    problems=("not_found", "refused"),
-    example=_CONTROL,
-    example_answer=_CONTROLLED,
 )
 async def pause(call: Call, body: ControlRequest) -> ControlResult:
     """Nothing more starts there except resets; actions under way continue to their end."""
     return await control(call.kernel, "pause", body)
 
 
-@Operation(
+@_control(
     route="POST /control/resume",
-    client=Method("control", by_hand=True),
     summary="Resume a paused run, experiment, module, workcell or lab",
-    needs="submitter",
-    problems=("not_found", "refused"),
     example={"target": "rpl/ot2_pcr_alpha", "by": "ada"},
-    example_answer=_CONTROLLED,
 )
 async def resume(call: Call, body: ControlRequest) -> ControlResult:
     return await control(call.kernel, "resume", body)
 
 
-@Operation(
+@_control(
     route="POST /control/cancel",
-    client=Method("control", by_hand=True),
     summary="Cancel a run, an experiment, or the runs of a module, a workcell or the lab",
-    needs="submitter",
-    problems=("not_found", "refused"),
     example={"target": "R1", "by": "ada", "why": "wrong plate"},
     example_answer={"kind": "run", "target": "R1", "runs": ["R1"]},
 )
@@ -185,6 +183,3 @@ async def stop_modules(call: Call, body: EmergencyStop) -> StopReport:
     the modules that confirmed the stop, with the time (UTC nanoseconds); `silent` are the others. A stopped
     module is in the state ERROR until a run of its action `reset`, which `labos reset` submits."""
     return await call.service.emergency_stop(body.target, name_in_emergency(body.said_by))
-
-
-OPERATIONS = list_operations(globals(), "lab")

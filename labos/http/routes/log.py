@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
+import re
 from collections.abc import AsyncIterator
 
 import msgspec
+from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 
 from labos.core.structs import make_from
 from labos.http import wire
-from labos.http.files import send_file
 from labos.http.limits import WHOLE_NUMBERS
-from labos.http.method import Method
-from labos.http.operation import Call, list_operations, read
+from labos.http.operation import Call, Method, read
+from labos.http.problems import make_problem
 from labos.http.queries import EventFilter, EventsQuery, OfFile
 from labos.http.tail import RETRY, STREAM_HEADERS, STREAM_TYPE
 from labos.http.viewers import Follow
 from labos.http.words import STORED
-from labos.ports import EventLine, LogQuery
+from labos.ports import BlobStore, EventLine, LogQuery
 
 
 class EventPage(msgspec.Struct, frozen=True):
@@ -29,6 +31,8 @@ class EventPage(msgspec.Struct, frozen=True):
 
 CONNECTION = "labos.connection"
 """The key in a request's scope with its connection."""
+
+_RANGE = re.compile(r"bytes=(\d{0,19})-(\d{0,19})")
 
 
 @read(
@@ -105,7 +109,41 @@ async def get_file(call: Call, path: OfFile) -> Response:
     """A file that a result names (`{"file": "plate.png", "sha256": …, "bytes": …}`). With `Range:
     bytes=0-1023` (or `1024-`, or `-512` for the end), only this part. The content never changes; its SHA-256
     is its `ETag`."""
-    return await send_file(call.request, path.sha256, call.service.parts.blobs)
+    return await _send_file(call.request, path.sha256, call.service.parts.blobs)
+
+
+async def _send_file(request: Request, digest: str, blobs: BlobStore) -> Response:
+    """The file with a SHA-256, or the requested range of it. A file with this name never changes. Raises
+    NotFound, LogDamaged, StoreUnavailable."""
+    headers = {"accept-ranges": "bytes", "etag": f'"{digest}"', "cache-control": "private, immutable"}
+    headers["x-content-type-options"] = "nosniff"  # never a page of this server
+    if request.headers.get("if-none-match") == headers["etag"]:
+        return Response(status_code=304, headers=headers)
+    data = await asyncio.to_thread(blobs.get, digest)
+    asked = _RANGE.fullmatch(request.headers.get("range", "").replace(" ", ""))
+    # One range is answered. Several ranges, another unit, or a range of another file are answered with the
+    # whole file.
+    if asked is None or request.headers.get("if-range", headers["etag"]) != headers["etag"]:
+        return Response(data, headers=headers, media_type="application/octet-stream")
+    part = find_part(len(data), *asked.groups())
+    if part is None:
+        words = f"The file has {len(data)} bytes, but none in the requested range."
+        refusal = wire.send_problem(make_problem("range_not_satisfiable", words, "Request another range."))
+        refusal.headers["content-range"] = f"bytes */{len(data)}"
+        return refusal
+    first, end = part
+    headers["content-range"] = f"bytes {first}-{end - 1}/{len(data)}"
+    return Response(data[first:end], 206, headers, "application/octet-stream")
+
+
+def find_part(size: int, first: str, last: str) -> tuple[int, int] | None:
+    """The first byte of a range, and the byte after its last one; None if the range is not in a file of this
+    size."""
+    if first:
+        begin, end = int(first), min(int(last), size - 1) + 1 if last else size
+    else:
+        begin, end = max(size - int(last or 0), 0), size
+    return (begin, end) if begin < end else None
 
 
 async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
@@ -121,6 +159,3 @@ async def _hand_over(call: Call, query: LogQuery, *, stored: bool) -> bool:
 
 def _make_log_query(query: EventFilter, **more: int | None) -> LogQuery:
     return make_from(LogQuery, query, types=tuple(query.type), streams=tuple(query.stream), **more)
-
-
-OPERATIONS = list_operations(globals(), "log")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from functools import partial
 
 import msgspec
 
@@ -25,8 +24,7 @@ from labos.http.bodies import (
     WorkcellFile,
 )
 from labos.http.limits import LARGEST_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, apply_file, operate, read
 from labos.http.queries import OfModule, OfWorkcell
 from labos.http.stock import Replenishment, check, replenish
 from labos.http.teaching import LocationPose, make_locations, teach
@@ -81,14 +79,10 @@ class WorkcellReference(msgspec.Struct, frozen=True):
     workcell: str
 
 
-_operate = partial(change, needs="operator")
-"""What a person does at a module or a workcell."""
-
-
 _CELL = "labos: 1\nname: bench\nmodules:\n  - {name: sealer, model: A4S_sealer}\n"
 
 
-@_operate(
+@operate(
     route="POST /modules/{module}/out-of-service",
     client=Method("take_out", "module, why, by, until_ns=until", take=None),
     summary="Take a module out of service",
@@ -104,7 +98,7 @@ async def take_out_of_service(call: Call, path: OfModule, body: OutOfService) ->
     return ModuleReference(path.module)
 
 
-@_operate(
+@operate(
     route="POST /modules/{module}/in-service",
     client=Method("put_back", "module, by='somebody'", take=None, repeat=True),
     summary="Put a module back in service",
@@ -116,7 +110,7 @@ async def put_in_service(call: Call, path: OfModule, body: By) -> ModuleReferenc
     return ModuleReference(path.module)
 
 
-@_operate(
+@operate(
     route="POST /modules/{module}/trace",
     client=Method("trace", "module, by='somebody'", take="file", repeat=True),
     summary="Start or stop the transcript of a device's links",
@@ -131,11 +125,10 @@ async def trace_wires(call: Call, path: OfModule, body: WireTrace) -> TraceFile:
     return TraceFile(module, await switch_trace(call.service, module, body.on))
 
 
-@Operation(
+@operate(
     route="POST /modules/{module}/replenish",
     client=Method("replenish", take="amount"),
     summary="Report that a resource was refilled",
-    needs="operator",
     problems=("refused", "spec_error"),
     example={"resource": "foil", "by": "ada", "amount": 96, "lot": "F7"},
     example_answer={"module": "rpl/sealer", "resource": "foil", "amount": 96},
@@ -160,7 +153,7 @@ async def list_locations(call: Call, path: OfModule) -> Locations:
     return Locations(make_locations(call.kernel.state.modules.by_name[name]))
 
 
-@_operate(
+@operate(
     route="POST /modules/{module}/locations",
     client=Method("teach", "module, station, pose, by, why", take="version", repeat=True),
     summary="Teach a manipulator the pose for a station",
@@ -173,7 +166,7 @@ async def teach_location(call: Call, path: OfModule, body: NewPose) -> PoseVersi
     return PoseVersion(await teach(call.service, path.module, body, body.by))
 
 
-@_operate(
+@operate(
     route="POST /modules/{module}/calibrations",
     client=Method("calibrate", "module, by", key="new"),
     summary="Record a calibration of a module",
@@ -200,13 +193,11 @@ async def calibrate_module(call: Call, path: OfModule, body: NewCalibration) -> 
     return make_from(CalibrationRecord, command)
 
 
-@Operation(
+@apply_file(
     route="POST /workcells",
     client=Method("apply_workcell", by_hand=True),
     summary="Apply a workcell file",
     tag="workcells",
-    needs="admin",
-    problems=("refused", "spec_error", "spec_errors"),
     example={"text": _CELL, "by": "ada", "name": "bench.yaml", "dry_run": True},
     largest_body=LARGEST_BODY,
 )
@@ -219,7 +210,7 @@ async def change_workcell(call: Call, body: WorkcellFile) -> WorkcellChange:
     return await apply_workcell(call.service, body, body.by)
 
 
-@_operate(
+@operate(
     route="POST /workcells/{workcell}/access",
     client=Method("enter", "workcell, by, why", take="parking", repeat=True),
     summary="Request access to a workcell",
@@ -235,7 +226,7 @@ async def request_workcell_access(call: Call, path: OfWorkcell, body: AccessRequ
     return AccessResult(path.workcell, runs)
 
 
-@_operate(
+@operate(
     route="POST /workcells/{workcell}/access/end",
     client=Method("leave", by_hand=True),
     summary="End the access to a workcell",
@@ -247,6 +238,3 @@ async def end_workcell_access(call: Call, path: OfWorkcell, body: AccessEnd) -> 
     """No person works in the workcell any more, and it continues."""
     await end_access(call.service, path.workcell, body.by, body.note, body.changed)
     return WorkcellReference(path.workcell)
-
-
-OPERATIONS = list_operations(globals(), "modules")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated
 
 import msgspec
@@ -25,8 +24,7 @@ from labos.core.users import Kind, Role, group_subject, user_subject
 from labos.errors import Forbidden, NotFound
 from labos.http.bodies import By
 from labos.http.limits import Name, says
-from labos.http.method import Method
-from labos.http.operation import Call, change, list_operations, read
+from labos.http.operation import Call, Method, administer, read
 from labos.http.queries import OfGroup, OfUser
 
 Subject = Annotated[Name, says("`user:ID` or `group:NAME`")]
@@ -110,10 +108,6 @@ _USER = {
 _GROUP = {"name": "chemistry", "weight": 1.0, "members": ["ada"], "roles": {"*": "submitter"}}
 
 
-_administer = partial(change, needs="admin")
-"""A change of users, groups or roles."""
-
-
 @read(
     route="GET /users",
     client=Method("users", take="users"),
@@ -125,7 +119,7 @@ def list_users(call: Call) -> UserList:
     return UserList([_make_user_view(state, name) for name in state.users.known], state.users.is_open)
 
 
-@_administer(
+@administer(
     route="POST /users",
     client=Method("add_user", take=None),
     summary="Add a user: a person or a program",
@@ -155,7 +149,7 @@ def get_user(call: Call, path: OfUser) -> UserView:
     return _make_user_view(call.kernel.state, path.user)
 
 
-@_administer(
+@administer(
     route="POST /users/{user}/disable",
     client=Method("disable_user", take=None, repeat=True),
     summary="Disable a user",
@@ -167,7 +161,7 @@ async def disable_user(call: Call, path: OfUser, body: By) -> UserView:
     return await _change_user(call, DisableUser(path.user), body.by)
 
 
-@_administer(
+@administer(
     route="POST /users/{user}/enable",
     client=Method("enable_user", take=None, repeat=True),
     summary="Enable a disabled user",
@@ -193,7 +187,7 @@ def list_groups(call: Call) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@_administer(
+@administer(
     route="POST /groups",
     client=Method("add_group", take=None),
     summary="Add a group",
@@ -206,7 +200,7 @@ async def add_group(call: Call, body: NewGroup) -> GroupView:
     return await _change_group(call, AddGroup(body.group), body.group, body.by)
 
 
-@_administer(
+@administer(
     route="POST /groups/{group}/remove",
     client=Method("remove_group", take=None),
     summary="Remove a group",
@@ -219,7 +213,7 @@ async def remove_group(call: Call, path: OfGroup, body: By) -> GroupList:
     return _list_groups(call.kernel.state)
 
 
-@_administer(
+@administer(
     route="POST /groups/{group}/members",
     client=Method("add_member", take=None, repeat=True),
     summary="Add a user to a group",
@@ -231,7 +225,7 @@ async def add_member(call: Call, path: OfGroup, body: Membership) -> GroupView:
     return await _change_group(call, AddMember(path.group, body.user), path.group, body.by)
 
 
-@_administer(
+@administer(
     route="POST /groups/{group}/members/remove",
     client=Method("remove_member", take=None, repeat=True),
     summary="Take a user out of a group",
@@ -247,7 +241,7 @@ async def _change_group(call: Call, command: Command, group: str, by: str) -> Gr
     return _make_group_view(call.kernel.state, group)
 
 
-@_administer(
+@administer(
     route="POST /roles/grant",
     client=Method("grant_role", take=None, repeat=True),
     summary="Give a user or a group a role",
@@ -260,7 +254,7 @@ async def grant_role(call: Call, body: Grant) -> GrantView:
     return GrantView(body.subject, body.scope, body.role)
 
 
-@_administer(
+@administer(
     route="POST /roles/revoke",
     client=Method("revoke_role", take=None, repeat=True),
     summary="Take a role away",
@@ -294,6 +288,3 @@ def _make_group_view(state: LabState, name: str) -> GroupView:
         raise NotFound(f"There is no group {name!r}.", remedy="List them: labos group list")
     roles = state.users.roles.get(group_subject(name), {})
     return GroupView(name, group.weight, list(group.members), dict(roles))
-
-
-OPERATIONS = list_operations(globals(), "people")

@@ -16,9 +16,9 @@ from labos.core.structs import make_from
 from labos.core.suggestions import OrderSuggested, Suggested
 from labos.errors import NotFound
 from labos.http.bodies import NewRun, OrderSuggestion
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read, submit
+from labos.http.operation import Call, Method, operate, read, submit
 from labos.http.queries import OfModule, OfWorkcell
+from labos.http.routes.runs import WORKFLOW
 from labos.planning.forecast import is_pending
 from labos.spec.about import find_description
 from labos.spec.choices import list_choices
@@ -86,9 +86,6 @@ class CheckedRun(msgspec.Struct, frozen=True):
     approval: tuple[str, ...]
     refusal: str
     warnings: tuple[Finding, ...]
-
-
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
 
 
 @read(
@@ -161,11 +158,10 @@ class SuggestedOrder(msgspec.Struct, frozen=True):
     line: list[str]
 
 
-@Operation(
+@operate(
     route="POST /workcells/{workcell}/order",
     client=Method("suggest_order", "workcell, steps, until, position, line", take="steps", repeat=True),
     summary="Suggest an order for the next steps of a workcell",
-    needs="operator",
     problems=("not_found", "refused"),
     example={
         "by": "ada",
@@ -195,7 +191,7 @@ class StepsLeft(msgspec.Struct, frozen=True):
     client=Method("_check_run", "workflow, user=''", repeat=True),
     summary="Check a run of a workflow without submitting it",
     tag="runs",
-    example={"workflow": {"text": _WORKFLOW, "name": "seal.yaml"}, "user": "ada"},
+    example={"workflow": WORKFLOW, "user": "ada"},
 )
 async def check_run(call: Call, body: NewRun) -> CheckedRun:
     """Nothing is submitted or stored."""
@@ -228,6 +224,3 @@ async def check_run(call: Call, body: NewRun) -> CheckedRun:
         refusal=refusal,
         warnings=planned.findings,
     )
-
-
-OPERATIONS = list_operations(globals(), "workcells")

@@ -26,8 +26,7 @@ from labos.http.bodies import (
     RunPause,
 )
 from labos.http.limits import LARGEST_BODY
-from labos.http.method import Method
-from labos.http.operation import Call, change, list_operations, read, submit
+from labos.http.operation import Call, Method, change, read, submit
 from labos.http.queries import OfExperiment, OfRun, RunQuery, RunsQuery
 from labos.ports import LogQuery
 from labos.services.proposals import describe_waiting
@@ -105,17 +104,21 @@ class HeartbeatReply(msgspec.Struct, frozen=True):
     """The lab has recorded the heartbeat."""
 
 
-_WORKFLOW = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
-_TIMED = _WORKFLOW.replace("seal}", "seal, args: {time: payload.time}}")
+_TEXT = "labos: 1\nname: seal\nsteps:\n  - {name: seal, module: sealer, action: seal}\n"
+_TIMED_TEXT = _TEXT.replace("seal}", "seal, args: {time: payload.time}}")
+WORKFLOW = {"text": _TEXT, "name": "seal.yaml"}
+TIMED_WORKFLOW = {"text": _TIMED_TEXT, "name": "seal.yaml"}
+"""Workflows for examples: without a payload, and with the sealing time as its payload."""
+
 _PAYLOADS = [{"time": 2}, {"time": 4}]
 _RUN = {
-    "workflow": {"text": _WORKFLOW, "name": "seal.yaml"},
+    "workflow": WORKFLOW,
     "user": "ada",
     "place": [{"station": "sealer.default", "labware": "plate96"}],
 }
 
 
-_of_application = partial(change, tag="experiments", needs="submitter", headers=("LabOS-User",))
+_of_application = partial(change, tag="experiments", headers=("LabOS-User",))
 """A request of an application about its experiment."""
 
 
@@ -172,7 +175,7 @@ async def submit_run(call: Call, body: NewRun) -> RunSubmission:
     summary="Queue a run of a workflow for each payload, all of them or none",
     status=201,
     logs_key=True,
-    example={"workflow": {"text": _TIMED, "name": "seal.yaml"}, "user": "ada", "payloads": _PAYLOADS},
+    example={"workflow": TIMED_WORKFLOW, "user": "ada", "payloads": _PAYLOADS},
     example_answer={"runs": ["R1", "R2"], "warnings": []},
 )
 async def submit_runs(call: Call, body: NewRuns) -> RunsSubmission:
@@ -199,7 +202,6 @@ async def get_run(call: Call, path: OfRun, query: RunQuery) -> RunDetail:
     route="POST /runs/{run}/cancel",
     client=Method("cancel", "run, by='somebody'", take=None, repeat=True),
     summary="Cancel a run",
-    needs="submitter",
     example={"by": "ada", "why": "wrong plate"},
     example_answer={"run": "R1"},
 )
@@ -216,7 +218,6 @@ async def cancel_run(call: Call, path: OfRun, body: RunCancel) -> RunReference:
     route="POST /runs/{run}/pause",
     client=Method("pause", "run, by='somebody'", take=None, repeat=True),
     summary="Pause a run: no further step starts",
-    needs="submitter",
     example={"by": "ada", "why": "lunch"},
     example_answer={"run": "R1"},
 )
@@ -230,7 +231,6 @@ async def pause_run(call: Call, path: OfRun, body: RunPause) -> RunReference:
     route="POST /runs/{run}/resume",
     client=Method("resume", "run, by='somebody'", take=None, repeat=True),
     summary="Resume a paused run",
-    needs="submitter",
     example={"by": "ada"},
     example_answer={"run": "R1"},
 )
@@ -247,7 +247,7 @@ async def resume_run(call: Call, path: OfRun, body: By) -> RunReference:
     tag="experiments",
     status=201,
     logs_key=True,
-    example={"name": "color picker", "user": "ada", "closing": {"text": _WORKFLOW}},
+    example={"name": "color picker", "user": "ada", "closing": {"text": _TEXT}},
     example_answer={"experiment": "E1"},
 )
 async def start_experiment(call: Call, body: NewExperiment) -> ExperimentReference:
@@ -331,6 +331,3 @@ async def record_heartbeat(call: Call, path: OfExperiment) -> HeartbeatReply:
     """The application is running."""
     call.service.note_heartbeat(path.experiment, call.user)
     return HeartbeatReply()
-
-
-OPERATIONS = list_operations(globals(), "runs")

@@ -13,8 +13,7 @@ from labos.core.ids import RunId
 from labos.core.structs import make_from
 from labos.errors import Forbidden, NotFound, NotSignedIn
 from labos.http.bodies import RunSignature
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, list_operations, read
+from labos.http.operation import Call, Method, Operation, read
 from labos.http.queries import OfCampaign, OfExperiment, OfRun
 from labos.http.signing import expect_users
 from labos.services.shown import show_struct
@@ -178,6 +177,3 @@ async def _expect_password(call: Call, user: str, password: str) -> None:
             remedy="Try again. Users of an identity provider need a password of this lab for signing: labos "
             f"user password {user}",
         ) from None
-
-
-OPERATIONS = list_operations(globals(), "runs")

@@ -15,8 +15,7 @@ from labos.core.structs import make_from
 from labos.core.words import PREFIX, find_fields_of_words, list_references
 from labos.errors import NotFound, Refused
 from labos.http.limits import Asker, Name, Time, says
-from labos.http.method import Method
-from labos.http.operation import Call, Operation, change, list_operations, read
+from labos.http.operation import Call, Method, administer, read
 from labos.services.log import Log
 
 Found = tuple[tuple[int, str], ...]
@@ -99,11 +98,10 @@ def list_erasures(call: Call) -> Erasures:
     return Erasures([make_from(ErasureView, each, erasure=name) for name, each in waiting.items()])
 
 
-@Operation(
+@administer(
     route="POST /words/erasures",
     client=Method("erase_words"),
     summary="Erase what people wrote into events",
-    needs="admin",
     at_kernel=True,
     problems=("not_found", "refused"),
     example={"records": [120], "because": "personal", "by": "ada"},
@@ -116,11 +114,10 @@ async def erase_words(call: Call, body: NewErasure) -> ErasureDone:
     return await erase(call, body.because, body.by, body.records, body.user)
 
 
-@change(
+@administer(
     route="POST /words/erasures/{erasure}/approve",
     client=Method("approve_erasure"),
     summary="Agree to an erasure, as the second person",
-    needs="admin",
     at_kernel=True,
     example={"by": "olga"},
     example_answer=_DONE,
@@ -131,11 +128,10 @@ async def approve_erasure(call: Call, path: OfErasure, body: Agreement) -> Erasu
     return await erase(call, asked.because, body.by, asked.records, asked.user, path.erasure)
 
 
-@change(
+@administer(
     route="POST /words/erasures/{erasure}/refuse",
     client=Method("refuse_erasure", take="erasure", repeat=True),
     summary="Refuse an erasure that waits for a second person",
-    needs="admin",
     example={"by": "olga"},
     example_answer={"erasure": "X1"},
 )
@@ -200,6 +196,3 @@ def _list_words_at(log: ErasingLog, position: int, durable: int) -> list[tuple[i
             remedy="The content of the log itself cannot be erased.",
         )
     return []
-
-
-OPERATIONS = list_operations(globals(), "log")

@@ -248,7 +248,7 @@ def test_a_head_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch
 
 
 def test_a_body_that_does_not_come_is_not_waited_for(lab: LabThread, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("labos.http.body_reader.FIRST_S", 0.3)
+    monkeypatch.setattr("labos.http.wire.FIRST_S", 0.3)
     head = b"POST /api/v1/estop HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
     with connect(lab) as slow:
         slow.sendall(head + b'content-length: 100\r\n\r\n{"tar')

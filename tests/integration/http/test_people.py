@@ -17,11 +17,10 @@ from labos.errors import Forbidden, Refused
 from labos.http.access import end_access, request_access
 from labos.http.bodies import NewCampaign, NewExperiment, NewRun, SampleSheet, WorkcellFile
 from labos.http.campaigns import submit_campaign
-from labos.http.declare import declare_bench
 from labos.http.placing import Placing
 from labos.http.samples import register_samples
 from labos.http.service import WorkflowText
-from labos.http.stock import Load, Unload, load, unload
+from labos.http.stock import Load, Unload, declare_bench, load, unload
 from labos.http.workcells import apply_workcell
 from labos.services.truth import bench_name
 from labos.settings import Settings

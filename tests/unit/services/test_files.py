@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from labos.http.files import find_part
+from labos.http.routes.log import find_part
 from labos.services.files import iterate_files
 
 PICTURE = {"file": "plate.png", "sha256": "a" * 64, "bytes": 12}
