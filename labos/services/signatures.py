@@ -126,14 +126,17 @@ def list_signatures_under(log: Log, subject: str) -> list[Signature]:
 def check_signatures(log: Log) -> VerifiedPart:
     """Whether the signed records of each signature are unchanged."""
     found = list_signatures(log)
-    broken = [each for each in found if not each.holds]
-    faults = tuple(
-        f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, but "
-        "these records have changed."
-        for each in broken
-    )
+    broken = [
+        (
+            f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, but "
+            "these records have changed.",
+            each.position,
+        )
+        for each in found
+        if not each.holds
+    ]
     result = f"{len(found)} signatures match their records."
-    return VerifiedPart("signatures", len(found), result, faults, tuple(each.position for each in broken))
+    return VerifiedPart.sum_up("signatures", len(found), result, broken)
 
 
 def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
