@@ -137,12 +137,6 @@ def list_signatures(log: Log, subject: str = "") -> list[Signature]:
     return found
 
 
-def list_signatures_under(log: Log, subject: str) -> list[Signature]:
-    """The signatures for a subject. Raises NotFound if the log does not have it."""
-    find_kind(log, subject)
-    return list_signatures(log, subject)
-
-
 def check_signatures(log: Log) -> VerifiedPart:
     """Whether the signed records of each signature are unchanged."""
     found = list_signatures(log)
