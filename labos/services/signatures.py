@@ -112,6 +112,7 @@ def list_signatures(log: Log, subject: str = "") -> list[Signature]:
     for record in log.select(LogQuery(types=SIGNED)):
         head = record.head
         event = decode(head.type, head.schema, record.payload)
+        kind: Kind
         if isinstance(event, RecordsSigned):
             name, kind, runs = event.subject, event.kind, event.runs
         else:
