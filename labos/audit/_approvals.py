@@ -1,4 +1,5 @@
-"""Approvals as rows: the person, the submission and its digest, the time, and the comment."""
+"""Approvals as rows: the person, the submission and its digest, the time, and the comment; and electronic
+signatures as rows."""
 
 from __future__ import annotations
 
@@ -6,9 +7,10 @@ import msgspec
 
 from labos.audit._campaigns import set_terms
 from labos.audit._rows import Row, RowChanges
-from labos.audit._work_tables import APPROVALS, CAMPAIGNS, EXPERIMENTS, RUNS, WAITING
+from labos.audit._work_tables import APPROVALS, CAMPAIGNS, EXPERIMENTS, RUNS, SIGNATURES, WAITING
 from labos.core import approvals as p
 from labos.core.envelope import Envelope
+from labos.core.signatures import RecordsSigned, RunSigned
 
 
 def on_requested(rows: RowChanges, event: p.ApprovalRequested, head: Envelope, at: float) -> None:
@@ -66,6 +68,12 @@ def on_second_person(rows: RowChanges, event: p.RunApproved, head: Envelope, at:
         answered_at_s=at,
         answered_position=head.position,
     )
+
+
+def on_signed(rows: RowChanges, event: RunSigned | RecordsSigned, head: Envelope, at: float) -> None:
+    run = {"subject": event.run, "kind": "run", "runs": 0} if isinstance(event, RunSigned) else {}
+    about = {"position": head.position, "signed_by": event.by, "comment": event.why, "at_s": at}
+    rows.put(SIGNATURES, event, **about, **run)
 
 
 def _answer(

@@ -1,15 +1,23 @@
-"""Labware as rows, with its present and earlier places."""
+"""Labware as rows, with its present and earlier places; the labware of an event; and calibrations."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import Any
 
+from labos.audit._bench_tables import CALIBRATIONS, LOT_USES, MOVES
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
-from labos.audit._bench_tables import LOT_USES, MOVES
 from labos.audit._rows import Row, RowChanges
+from labos.audit._work_tables import ACTIONS
 from labos.core import labware as b
+from labos.core.actions import ActionEvent, ActionRequested
+from labos.core.days import end_of
 from labos.core.envelope import Envelope
 from labos.core.ids import module_of
+from labos.core.interventions import InterventionRequested
+from labos.core.labware import LabwareEvent, StationObserved
+from labos.core.modules import ModuleCalibrated
+from labos.core.registry import Event
 
 
 def on_placed(rows: RowChanges, event: b.LabwarePlaced, head: Envelope, at: float) -> None:
@@ -92,6 +100,18 @@ def on_loaded(rows: RowChanges, event: b.StationLoaded, head: Envelope, at: floa
         rows.add(LOT_USES, head.position, 0, at, event.lot, "loaded", module, event.type, "", "", "")
 
 
+def on_calibrated(rows: RowChanges, event: ModuleCalibrated, head: Envelope, at: float) -> None:
+    rows.put(
+        CALIBRATIONS,
+        event,
+        calibration=f"{event.module}@{head.position}",
+        position=head.position,
+        recorded_by=event.by,
+        at_s=at,
+        ends_at_s=float(end_of(event.until)) if event.until else None,
+    )
+
+
 def _settle(rows: RowChanges, row: Row, station: str, on: str) -> None:
     _take_off_plate(rows, row)
     row["maybe"] = None
@@ -134,3 +154,32 @@ def _note(
     by = (event.run, getattr(event, "action", ""), head.actor, why)
     maybe = None if places is None else list(places)
     rows.add(MOVES, head.position, at, event.labware, kind, source, "" if on else target, on, maybe, *by)
+
+
+def list_touched(rows: RowChanges, event: Event) -> Iterable[str]:
+    """The ids of the labware of an event, each once. Later events of an action concern the labware of its
+    request."""
+    if isinstance(event, LabwareEvent):
+        on = getattr(event, "on", "")
+        return {event.labware, on} if on else (event.labware,)
+    if isinstance(event, ActionRequested):
+        return labware_of(event.effects)
+    if isinstance(event, ActionEvent):
+        names: Iterable[str] = rows.get(ACTIONS, event.action)["labware"]
+        return names
+    if isinstance(event, InterventionRequested):
+        return {*event.labware, *labware_of(event.motions)}
+    if isinstance(event, StationObserved) and event.labware:
+        return (event.labware,)
+    return ()
+
+
+def labware_of(effects: Iterable[Any]) -> list[str]:
+    """The labware in effects, including lids and their plates, in order and each once."""
+    found: dict[str, bool] = {}
+    for effect in effects:
+        for field in ("labware", "plate"):
+            name = getattr(effect, field, "")
+            if name:
+                found[str(name)] = True
+    return list(found)

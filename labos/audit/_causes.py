@@ -5,8 +5,7 @@ did not influence an earlier reading.
 
 from __future__ import annotations
 
-from labos.audit._calibrations import IN_FORCE
-from labos.audit._links import Found, Links, query
+from labos.audit._links import IN_FORCE, Found, Links, query
 from labos.audit.graph import Entity, well_of
 from labos.audit.liquids import find_source_well
 from labos.audit.query import ReadConnection

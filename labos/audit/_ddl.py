@@ -53,6 +53,13 @@ def view_name(name: str, dialect: Dialect) -> str:
     return f'{VIEW_SCHEMA}."{name}"' if dialect == "postgresql" else f'"{name}"'
 
 
+def write_select(table: Table, dialect: Dialect) -> str:
+    """The query for the row of a key."""
+    columns = ", ".join(f'"{name}"' for name in table.stored)
+    where = " AND ".join(f'"{name}" = ?' for name in table.key)
+    return f"SELECT {columns} FROM {table_name(table.name, dialect)} WHERE {where}"
+
+
 def make_all(dialect: Dialect) -> Iterator[str]:
     """Statements that create everything in an empty database; those for the state come first."""
     if dialect == "postgresql":

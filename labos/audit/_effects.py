@@ -5,8 +5,7 @@ processed.
 
 from __future__ import annotations
 
-from labos.audit._calibrations import IN_FORCE
-from labos.audit._links import Links, query
+from labos.audit._links import IN_FORCE, Links, query
 
 EFFECTS: Links = {
     "lot": {

@@ -35,5 +35,3 @@ ENTRIES = Table(
     indexes=(("kind", "at_s"), ("experiment",), ("run",)),
     searched="words",
 )
-
-ENTRY_TABLES = (ENTRIES,)

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from labos.audit._calibrations import IN_FORCE
+from labos.audit._links import IN_FORCE
 from labos.audit.graph import Entity, well_of
 from labos.audit.query import ReadConnection
 from labos.core.ids import local

@@ -23,6 +23,15 @@ name the thing (``:name``), the parts of a well (``:labware``, ``:well``) or of 
 Links = Mapping[EntityKind, Mapping[str, Rule]]
 """The links of a kind of thing. Their names end with the kind of the other thing: ``asked for by user``."""
 
+IN_FORCE = (
+    "c.module = a.module AND c.position < a.requested_position "
+    "AND (c.ends_at_s IS NULL OR a.requested_at_s < c.ends_at_s) "
+    "AND NOT EXISTS (SELECT 1 FROM calibrations later WHERE later.module = c.module AND later.what = c.what "
+    "AND later.position > c.position AND later.position < a.requested_position)"
+)
+"""An SQL condition: a calibration ``c`` was recorded before the request of an action ``a``, was then the last
+one of its kind, and had not expired."""
+
 _PARTS: dict[EntityKind, tuple[str, ...]] = {
     "well": ("labware", "well"),
     "driver": ("module", "driver", "version"),

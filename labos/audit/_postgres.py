@@ -11,9 +11,8 @@ from psycopg import sql
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import STATE, TABLE_SCHEMA, VIEW_SCHEMA, Dialect, table_name
-from labos.audit._rows import Key
 from labos.audit.database import AuditDatabase, Mark
-from labos.audit.tables import VERSION, Table
+from labos.audit.tables import Table
 from labos.errors import NotFound
 
 CONNECT_TIMEOUT_S = 5
@@ -49,7 +48,7 @@ class PostgresAudit(AuditDatabase):
         """Allow an existing role to read the views, and to find them without the schema's name. Raises
         NotFound, StoreUnavailable."""
         with self._write_transaction():
-            if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = %s", (role,)).fetchone():
+            if not self._execute("SELECT 1 FROM pg_roles WHERE rolname = ?", (role,)).fetchone():
                 raise NotFound(
                     f"The {self.name} has no role {role!r}.",
                     remedy="Create it first: CREATE ROLE name LOGIN PASSWORD '…'",
@@ -74,14 +73,10 @@ class PostgresAudit(AuditDatabase):
             self._execute(f"SELECT pg_advisory_xact_lock({_MAKING})")
             yield
 
-    def _execute(self, statement: str, values: Sequence[Any] | None = None) -> psycopg.Cursor[Any]:
-        return self._connection.execute(statement.encode(), values)
-
-    def _fetch(self, table: Table, key: Key) -> Any:
-        columns = ", ".join(f'"{name}"' for name in table.stored)
-        where = " AND ".join(f'"{name}" = %s' for name in table.key)
-        statement = f"SELECT {columns} FROM {table_name(table.name, 'postgresql')} WHERE {where}"
-        return self._execute(statement, key).fetchone()
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> psycopg.Cursor[Any]:
+        if values:
+            return self._connection.execute(statement.replace("?", "%s").encode(), values)
+        return self._connection.execute(statement.encode())
 
     def _lock_mark(self) -> Mark:
         self._execute(f"SELECT 1 FROM {self._state} FOR UPDATE")
@@ -91,15 +86,7 @@ class PostgresAudit(AuditDatabase):
         return ""  # the files of tables that are dropped are removed
 
     def _has_state(self) -> bool:
-        return self._execute("SELECT to_regclass(%s)", (f"{TABLE_SCHEMA}.{STATE}",)).fetchone() != (None,)
-
-    def _note(self, mark: Mark) -> None:
-        self._execute(
-            f"INSERT INTO {self._state} VALUES (1, %s, %s, %s, %s, %s) ON CONFLICT (id) DO UPDATE SET "
-            "version = excluded.version, lab = excluded.lab, position = excluded.position, "
-            "hash = excluded.hash, at_s = excluded.at_s",
-            (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),
-        )
+        return self._execute("SELECT to_regclass(?)", (f"{TABLE_SCHEMA}.{STATE}",)).fetchone() != (None,)
 
     def _insert(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
         self._copy(table_name(table.name, "postgresql"), rows)

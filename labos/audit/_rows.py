@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -43,9 +44,9 @@ class RowChanges:
 
     def __init__(self, load: Load) -> None:
         self._load = load
-        self._known: dict[str, dict[Key, Row]] = {table.name: {} for table in TABLES}
-        self._changed: dict[str, dict[Key, Row]] = {table.name: {} for table in TABLES}
-        self._added: dict[str, list[Key]] = {table.name: [] for table in TABLES}
+        self._known: defaultdict[str, dict[Key, Row]] = defaultdict(dict)
+        self._changed: defaultdict[str, dict[Key, Row]] = defaultdict(dict)
+        self._added: defaultdict[str, list[Key]] = defaultdict(list)
         self.may_have_nul = False
         """Whether a text of the batch may contain a NUL character."""
 
@@ -88,26 +89,24 @@ class RowChanges:
 
     def list_added(self) -> Iterator[tuple[Table, list[Key]]]:
         for table in TABLES:
-            if self._added[table.name]:
+            if table.name in self._added:
                 yield table, self._added[table.name]
 
     def list_changed(self) -> Iterator[tuple[Table, list[Row]]]:
         for table in TABLES:
-            if self._changed[table.name]:
+            if table.name in self._changed:
                 yield table, list(self._changed[table.name].values())
 
     def mark_written(self) -> None:
         """Record that everything is in the database."""
         self.may_have_nul = False
-        for name in self._known:
-            self._changed[name].clear()
-            self._added[name].clear()
+        self._changed.clear()
+        self._added.clear()
         if sum(map(len, self._known.values())) > MOST_KEPT:
             self.forget()
 
     def forget(self) -> None:
         """Drop all rows, because another process may have changed the database, or nothing was written."""
-        for name in self._known:
-            self._known[name].clear()
-            self._changed[name].clear()
-            self._added[name].clear()
+        self._known.clear()
+        self._changed.clear()
+        self._added.clear()

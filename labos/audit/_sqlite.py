@@ -11,9 +11,8 @@ from typing import Any, ClassVar
 from sqlalchemy.engine import URL
 
 from labos.audit._ddl import Dialect, table_name
-from labos.audit._rows import Key
-from labos.audit.database import AuditDatabase, Mark
-from labos.audit.tables import TABLES, VERSION, Table
+from labos.audit.database import AuditDatabase
+from labos.audit.tables import TABLES, Table
 from labos.private import make_database_file
 from labos.store import find_sqlite_path
 
@@ -32,14 +31,7 @@ def _insert(table: Table) -> str:
     return f"INSERT OR REPLACE INTO {table_name(table.name, 'sqlite')} VALUES ({marks})"
 
 
-def _select(table: Table) -> str:
-    columns = ", ".join(f'"{name}"' for name in table.stored)
-    where = " AND ".join(f'"{name}" = ?' for name in table.key)
-    return f"SELECT {columns} FROM {table_name(table.name, 'sqlite')} WHERE {where}"
-
-
 _INSERT = {table.name: _insert(table) for table in TABLES}
-_SELECT = {table.name: _select(table) for table in TABLES}
 
 
 class SqliteAudit(AuditDatabase):
@@ -85,11 +77,8 @@ class SqliteAudit(AuditDatabase):
                     self._connection.execute("ROLLBACK")
                 raise
 
-    def _execute(self, statement: str) -> sqlite3.Cursor:
-        return self._connection.execute(statement)
-
-    def _fetch(self, table: Table, key: Key) -> Any:
-        return self._connection.execute(_SELECT[table.name], key).fetchone()
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> sqlite3.Cursor:
+        return self._connection.execute(statement, values)
 
     def _scrub(self) -> str:
         # The file is written anew without its free pages; then the write-ahead log is moved into it and
@@ -99,15 +88,8 @@ class SqliteAudit(AuditDatabase):
         return f"another program reads {self.path}" if busy else ""
 
     def _has_state(self) -> bool:
-        name = self._state.strip('"')
         query = "SELECT 1 FROM sqlite_master WHERE name = ?"
-        return self._connection.execute(query, (name,)).fetchone() is not None
-
-    def _note(self, mark: Mark) -> None:
-        self._connection.execute(
-            f"INSERT OR REPLACE INTO {self._state} VALUES (1, ?, ?, ?, ?, ?)",
-            (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),
-        )
+        return self._execute(query, (self._state.strip('"'),)).fetchone() is not None
 
     def _insert(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
         self._connection.executemany(_INSERT[table.name], rows)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from labos.audit._bench import labware_of
 from labos.audit._bench_tables import LABWARE_TABLE as LABWARE
 from labos.audit._rows import Row, RowChanges, convert_to_seconds
-from labos.audit._touches import labware_of
 from labos.audit._work_tables import ACTIONS, EXPERIMENTS, FILES, NODES, PLANS, PRESENT, RESULTS, RUNS, STEPS
 from labos.core import actions as a
 from labos.core import modules as m

@@ -6,18 +6,18 @@ PostgreSQL a role can be allowed to read only the views.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, ClassVar
 
 import msgspec
 from sqlalchemy.engine import URL
 
-from labos.audit._ddl import STATE, Dialect, drop_all, make_all, table_name
-from labos.audit._encode import decode_row, encode_rows, encode_values
+from labos.audit._ddl import STATE, Dialect, drop_all, make_all, table_name, write_select
 from labos.audit._rows import Key, Row, RowChanges
-from labos.audit.tables import VERSION, Table
+from labos.audit.tables import TABLES, VERSION, Table
 from labos.errors import LogTooNew
 from labos.store import TranslatedErrors, display_name, find_sqlite_path, parse_url
 
@@ -40,6 +40,7 @@ class AuditDatabase(ABC):
 
     def __init__(self, url: URL) -> None:
         self._state = table_name(STATE, self.dialect)
+        self._selects = {table.name: write_select(table, self.dialect) for table in TABLES}
         self.name, self._url, self._door = display_name(url), url, TranslatedErrors(url)
 
     def prepare(self) -> Mark:
@@ -80,7 +81,7 @@ class AuditDatabase(ABC):
     def load(self, table: Table, key: Key) -> Row | None:
         """A row, or None."""
         with self._door:
-            found = self._fetch(table, key)
+            found = self._execute(self._selects[table.name], key).fetchone()
         return None if found is None else decode_row(table, found)
 
     def write(self, before: Mark, after: Mark, rows: RowChanges) -> bool:
@@ -123,19 +124,20 @@ class AuditDatabase(ABC):
         return Mark(*self._execute(f"SELECT lab, position, hash, at_s FROM {self._state}").fetchone())
 
     @abstractmethod
-    def _execute(self, statement: str) -> Any:
-        """A cursor with the answer."""
+    def _execute(self, statement: str, values: Sequence[Any] = ()) -> Any:
+        """A cursor with the answer; ``values`` replace each ``?``."""
 
     @abstractmethod
     def _has_state(self) -> bool:
         """Whether the table of the state exists."""
 
-    @abstractmethod
-    def _fetch(self, table: Table, key: Key) -> Any:
-        """The values of a row, or None."""
-
-    @abstractmethod
-    def _note(self, mark: Mark) -> None: ...
+    def _note(self, mark: Mark) -> None:
+        self._execute(
+            f"INSERT INTO {self._state} VALUES (1, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
+            "version = excluded.version, lab = excluded.lab, position = excluded.position, "
+            "hash = excluded.hash, at_s = excluded.at_s",
+            (VERSION, mark.lab, mark.position, mark.hash, mark.at_s),
+        )
 
     @abstractmethod
     def _insert(self, table: Table, rows: Iterable[Sequence[Any]]) -> None:
@@ -144,6 +146,53 @@ class AuditDatabase(ABC):
     @abstractmethod
     def _replace(self, table: Table, rows: list[Sequence[Any]]) -> None:
         """Insert or replace rows."""
+
+
+_NUL, _SHOWN = "\0", "\N{SYMBOL FOR NULL}"
+_encode = msgspec.json.Encoder(order="sorted").encode
+
+_JSON = {
+    table.name: [at for at, column in enumerate(table.columns) if column.kind == "json"] for table in TABLES
+}
+_IN_ORDER: dict[str, Callable[[Row], tuple[Any, ...]]] = {
+    table.name: itemgetter(*table.stored) for table in TABLES
+}
+
+
+def encode_rows(table: Table, rows: Iterable[Row], *, nul: bool) -> list[Sequence[Any]]:
+    """Rows in the form for the database; see ``encode_values``."""
+    in_order = _IN_ORDER[table.name]
+    return encode_values(table, [in_order(row) for row in rows], nul=nul)
+
+
+def encode_values(table: Table, rows: list[Key], *, nul: bool) -> list[Sequence[Any]]:
+    """The same for rows with values in the order of their columns. PostgreSQL cannot store a NUL character:
+    it is replaced by the symbol for NUL."""
+    at = _JSON[table.name]
+    made: list[Sequence[Any]] = list(rows)
+    if at:
+        made = [_with_json(values, at) for values in rows]
+    return [[_show(value) for value in values] for values in made] if nul else made
+
+
+def decode_row(table: Table, values: Any) -> Row:
+    """A row from the database."""
+    found = list(values)
+    for at in _JSON[table.name]:
+        found[at] = None if found[at] is None else msgspec.json.decode(found[at])
+    return dict(zip(table.stored, found, strict=True))
+
+
+def _with_json(values: Key, at: list[int]) -> list[Any]:
+    made = list(values)
+    for number in at:
+        value = made[number]
+        made[number] = None if value is None else _encode(value).decode()
+    return made
+
+
+def _show(value: Any) -> Any:
+    return value.replace(_NUL, _SHOWN).replace("\\u0000", _SHOWN) if isinstance(value, str) else value
 
 
 def find_audit_file(log: Path) -> Path:

@@ -7,17 +7,15 @@ from typing import Any
 from labos.audit import (
     _approvals,
     _bench,
-    _calibrations,
     _campaigns,
     _entries,
     _liquids,
     _people,
-    _signatures,
     _work,
 )
+from labos.audit._bench import list_touched
 from labos.audit._bench_tables import TOUCHES
 from labos.audit._rows import RowChanges, convert_to_seconds
-from labos.audit._touches import list_touched
 from labos.audit._work_tables import EVENTS
 from labos.core import fold
 from labos.core.envelope import Record
@@ -36,7 +34,7 @@ _KNOWN: dict[type[Event], list[tuple[int, str]]] = {
 }
 """The columns of ``events`` that each type of event fills."""
 
-_SLICES = (*(_work, _bench, _calibrations, _liquids, _people, _campaigns, _approvals, _signatures, _entries),)
+_SLICES = (_work, _bench, _liquids, _people, _campaigns, _approvals, _entries)
 
 _FOUND = [list_handlers(vars(slice_), RowChanges, "on_", ("event", "head", "at")) for slice_ in _SLICES]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Literal
+from typing import Literal, cast
 
 from labos.audit._causes import CAUSES
 from labos.audit._effects import EFFECTS
@@ -21,35 +21,33 @@ MOST_LINKS = 2000
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _STEP = re.compile(r"([^#\s]+)\s*#(\d+)")
-_PREFIXES = {
-    "action": "SELECT 1 FROM actions WHERE action = ? AND requested_position <= ?",
-    "experiment": "SELECT 1 FROM experiments WHERE experiment = ? AND started_position <= ?",
+_PREFIXES: dict[EntityKind, str] = {
     "run": "SELECT 1 FROM runs WHERE run = ? AND submitted_position <= ?",
     "labware": "SELECT 1 FROM labware WHERE labware = ? AND placed_position <= ?",
-    "result": "SELECT 1 FROM actions WHERE action = ? AND result IS NOT NULL AND ended_position <= ?",
+    "experiment": "SELECT 1 FROM experiments WHERE experiment = ? AND started_position <= ?",
     "sample": "SELECT 1 FROM samples WHERE sample = ? AND position <= ?",
     "lot": "SELECT 1 FROM lot_uses WHERE lot = ? AND position <= ?",
     "file": "SELECT 1 FROM files WHERE digest = ? AND position <= ?",
     "workflow": "SELECT 1 FROM runs WHERE plan = ? AND submitted_position <= ?",
+    "action": "SELECT 1 FROM actions WHERE action = ? AND requested_position <= ?",
     "calibration": "SELECT 1 FROM calibrations WHERE calibration = ? AND position <= ?",
     "user": "SELECT 1 FROM events WHERE actor = ? AND position <= ?",
+    "result": "SELECT 1 FROM actions WHERE action = ? AND result IS NOT NULL AND ended_position <= ?",
 }
-"""Kinds of entities in the order in which a name without a kind is looked up, with the look-ups."""
-
-_BARE: tuple[EntityKind, ...] = (
-    *("run", "labware", "experiment", "sample", "lot", "file", "workflow", "action", "calibration", "user"),
-)
+"""Kinds of entities in the order in which a name without a kind is looked up, with the look-ups. The name of
+a result is that of an action, which is found before."""
 
 
 def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
     """Find the entity that a user names: ``P7``, ``P7/B7``, ``R1``, ``R1#3`` (the result of its step 3), the
     digest of a file, a sample, a lot. A prefix such as ``lot:`` or ``sample:`` sets the kind. Raises
     NotFound."""
-    kind, _, name = text.partition(":")
+    prefix, _, name = text.partition(":")
+    kind = cast(EntityKind, prefix)
     if name and kind == "driver" and name.count(" ") == 2:
         return Entity("driver", name)
     if name and kind in _PREFIXES and asker.fetch(_PREFIXES[kind], name, upto):
-        return Entity(kind, name)  # type: ignore[arg-type]
+        return Entity(kind, name)
     step = _STEP.fullmatch(text)
     if step is not None:
         found = asker.fetch(
@@ -62,8 +60,8 @@ def subject_of(asker: ReadConnection, text: str, upto: int) -> Entity:
     plate, well = well_of(text)
     if plate and asker.fetch(_PREFIXES["labware"], plate, upto):
         return Entity("well", f"{plate}/{well.upper()}")
-    for bare in _BARE:
-        if asker.fetch(_PREFIXES[bare], text, upto):
+    for bare, query in _PREFIXES.items():
+        if asker.fetch(query, text, upto):
             return Entity(bare, text)
     raise NotFound(
         f"Nothing in this log has the name {text!r}.",

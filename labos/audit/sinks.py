@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import BinaryIO
 
 import msgspec
 
@@ -23,16 +23,6 @@ CHUNK = 64 * 1024
 REMEDY = "Name a file that does not exist yet."
 
 
-class Sink(Protocol):
-    """A target for events, in order. ``position`` is the position of the last event in it."""
-
-    position: int
-
-    def write(self, records: Iterable[Record]) -> None: ...
-
-    def close(self) -> None: ...
-
-
 class _Line(msgspec.Struct):
     """The fields that are read of an existing line."""
 
@@ -41,7 +31,8 @@ class _Line(msgspec.Struct):
 
 
 class JsonLines:
-    """A file with one line for each event, in order. Only one process at a time may write it."""
+    """A file with one line for each event, in order; ``position`` is the position of the last event in it.
+    Only one process at a time may write it."""
 
     def __init__(self, path: Path) -> None:
         """Raises BadInput for a file with other content, or one that another process is writing;

@@ -11,7 +11,7 @@ import msgspec
 from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json
 from labos.cli._query import Where, folder_and_json, now_ns, open_database
-from labos.services.retention import note_retention
+from labos.services.doctor import note_retention
 from labos.settings import was_simulated
 from labos.store import backup, copy_accounts, key_of, move_old_segments, open_accounts, open_blobs
 

@@ -25,11 +25,11 @@ from labos.services.doctor import (
     check_nodes,
     check_permissions,
     check_rehearsal,
+    check_retention,
     check_space,
     check_sync,
 )
 from labos.services.history import fold_state_at
-from labos.services.retention import check_retention
 from labos.services.times import show_time
 from labos.services.trust.places import find_newest
 from labos.services.trust.publish import FOLDER

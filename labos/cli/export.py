@@ -15,7 +15,7 @@ from labos.audit._crate_experiment import Program
 from labos.audit.cloudevents import encode_cloudevent
 from labos.audit.crate import make_crate, runs_of
 from labos.audit.kafka import SCHEME, KafkaSink, KafkaTopic, read_settings
-from labos.audit.sinks import JsonLines, Sink
+from labos.audit.sinks import JsonLines
 from labos.cli._audit import open_log_and_views
 from labos.cli._complete import make_completer
 from labos.cli._group import Suggesting
@@ -264,7 +264,7 @@ def _carry(
 
 def _open_sink(
     where: Where, log: Log, to: str, follow: bool, settings: Path | None, position_file: Path | None
-) -> Sink:
+) -> JsonLines | KafkaSink:
     """Raises BadInput, SystemFailed."""
     if not to.startswith(SCHEME):
         if "://" in to:

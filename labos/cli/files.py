@@ -13,9 +13,9 @@ from labos.cli._query import Where, log_at_and_json, now_ns, open_contents, open
 from labos.core.texts import CONTROL
 from labos.errors import BadInput, NotFound
 from labos.ports import BlobReader
+from labos.services.doctor import note_retention
 from labos.services.files import ResultFile, list_files
 from labos.services.history import find_position_at
-from labos.services.retention import note_retention
 from labos.services.times import Moment, show_time
 from labos.services.verification import find_unused_blobs
 from labos.store import FolderBlobs, open_blobs

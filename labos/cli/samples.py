@@ -17,7 +17,7 @@ from labos.cli._query import Where, log_at_and_json, open_contents
 from labos.core.wells import parse_well
 from labos.errors import NotFound
 from labos.services.history import find_position_at
-from labos.services.samples import Registration, list_registrations
+from labos.services.results import Registration, list_registrations
 from labos.services.times import Moment, iso_time, show_time
 
 

@@ -15,7 +15,7 @@ from labos.cli._query import Where, log_and_json, open_log
 from labos.cli._secret import ask_password
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
-from labos.services.signatures import Signature, find_kind, list_signatures_under
+from labos.services.signatures import Signature, find_kind, list_signatures
 
 
 @click.command("sign", short_help="Sign the record of a run, an experiment or a campaign.")
@@ -38,12 +38,12 @@ def command(where: Where, subject: str, meaning: str | None, why: str) -> None:
     labos sign R7
     """
     with open_log(where) as log:
-        if meaning is None:
-            if why:
-                raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
-            _show(subject, list_signatures_under(log, subject))
-            return
+        if meaning is None and why:
+            raise BadInput("A comment needs a signature.", remedy="Give --meaning too.")
         kind = find_kind(log, subject)
+        if meaning is None:
+            _show(subject, list_signatures(log, subject))
+            return
     with need_lab_of(where) as client:
         user = client.identity()["user"]
         sign = {

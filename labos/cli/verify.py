@@ -32,8 +32,8 @@ from labos.services.verification import (
     check_end,
     check_journals,
     check_snapshot,
+    check_words,
 )
-from labos.services.words_check import check_words
 from labos.store import Damage, Progress, SqlEventStore, find_first_damage, key_of, open_blobs
 
 CAVEAT = (

@@ -18,7 +18,7 @@ from labos.errors import NotSignedIn
 from labos.http.door import WAY_BACK
 from labos.http.signing import expect_users, give_cookie
 from labos.ports import Person
-from labos.services.accounts.secrets import make_id
+from labos.services.accounts.accounts import make_id
 
 if TYPE_CHECKING:
     from labos.http.operation import Api

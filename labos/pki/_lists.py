@@ -33,21 +33,18 @@ class ReceivedList:
         """Raises NotFound, and BadInput for a list that is older than an earlier one here, that the authority
         has not signed, or that cannot be read."""
         with _turn:
-            return self._read()
-
-    def _read(self) -> Members:
-        found, known = read_members(self.file), self._read_known()
-        self._check(found, signed=known > 0)
-        if found.number < known:
-            raise BadInput(
-                f"{self.file} is list number {found.number}, but list number {known} was already "
-                "here: an older list may allow certificates that were revoked later.",
-                remedy="Copy the newest one from the authority. If the authority itself was put back from an "
-                f"older copy, remove {self.folder / NUMBER} first.",
-            )
-        if found.number > known:
-            self._write(NUMBER, f"{found.number}\n".encode())
-        return found
+            found, known = read_members(self.file), self._read_known()
+            self._check(found, signed=known > 0)
+            if found.number < known:
+                raise BadInput(
+                    f"{self.file} is list number {found.number}, but list number {known} was already "
+                    "here: an older list may allow certificates that were revoked later.",
+                    remedy="Copy the newest one from the authority. If the authority itself was put back "
+                    f"from an older copy, remove {self.folder / NUMBER} first.",
+                )
+            if found.number > known:
+                self._write(NUMBER, f"{found.number}\n".encode())
+            return found
 
     def offer(self, data: bytes) -> bool:
         """Store a list that came over the bus. Returns whether it is newer than the present one. Raises

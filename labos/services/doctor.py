@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import statistics
@@ -18,7 +19,7 @@ from labos.core.ids import local
 from labos.core.lengths import Drift
 from labos.core.state import LabState
 from labos.pki import Authority, CertificateEntry
-from labos.private import create_file
+from labos.private import create_file, replace_file
 from labos.services.times import show_time
 
 LITTLE_BYTES, LEAST_BYTES = 5 << 30, 500 << 20
@@ -239,3 +240,49 @@ def _check_node(one: Mapping[str, Any], version: str) -> list[DoctorFinding]:
         remedy = "Let both follow the same time server (chrony, NTP)."
         found.append(grade(f"clock {name}", result, remedy, fault=abs(ahead) > CLOCK_WRONG_S, warning=True))
     return found
+
+
+NOTE = "retention.json"
+"""A file in the lab's folder: when old segments of the backup were last moved, and when unused files were
+last removed."""
+
+LONG_AGO_NS = 45 * 86_400 * 10**9
+"""Both steps should be done every month."""
+
+Step = Literal["moved_at", "removed_at"]
+
+
+class Retention(msgspec.Struct, frozen=True):
+    """Times in UTC nanoseconds; 0: never."""
+
+    moved_at: int = 0
+    removed_at: int = 0
+
+
+def note_retention(home: Path, step: Step, now_ns: int) -> None:
+    """Note that a step was done. If the note cannot be written, the doctor will later report the step as not
+    done."""
+    found = _read_retention(home) or Retention()
+    noted = msgspec.structs.replace(found, **{step: now_ns})
+    with contextlib.suppress(OSError):
+        replace_file(home / NOTE, msgspec.json.encode(noted) + b"\n")
+
+
+def check_retention(home: Path, now_ns: int) -> DoctorFinding | None:
+    """Whether both steps were done recently. None for a lab that has never done one: it may intend to keep
+    everything."""
+    found = _read_retention(home)
+    if found is None:
+        return None
+    steps = (("Old segments were moved", found.moved_at), ("unused files removed", found.removed_at))
+    result = ", ".join(f"{what} {f'on {show_time(at)}' if at else 'never'}" for what, at in steps) + "."
+    remedy = "Why did it stop? systemctl status labos-retention (docs/backup.md)"
+    return grade("retention", result, remedy, warning=now_ns - min(at for _, at in steps) > LONG_AGO_NS)
+
+
+def _read_retention(home: Path) -> Retention | None:
+    """The note; None if there is none, or if it cannot be read."""
+    try:
+        return msgspec.json.decode((home / NOTE).read_bytes(), type=Retention)
+    except (OSError, msgspec.MsgspecError, UnicodeDecodeError):
+        return None

@@ -187,21 +187,16 @@ class FilteredLog:
         return not wanted.user or wanted.user in self._list_users(event, about, head)
 
     def _list_experiments(self, event: Event, head: Envelope) -> set[str]:
-        matching_events = {head.correlation, getattr(event, "experiment", ""), getattr(event, "by", "")}
-        matching_events.add(_find_owner(event, "experiment"))
-        matching_events.add(getattr(event, "subject", ""))
-        return matching_events | {self.names.find_experiment(run) for run in _list_runs(event)}
+        named = {getattr(event, field, "") for field in ("experiment", "by", "subject")}
+        named |= {self.names.find_experiment(run) for run in _list_runs(event)}
+        return named | {head.correlation, _find_owner(event, "experiment")}
 
     def _list_users(self, event: Event, about: Event, head: Envelope) -> set[str]:
-        matching_events = {head.actor, getattr(event, "by", ""), getattr(event, "user", "")}
-        matching_events.add(_find_owner(event, "user"))
-        runs = [self.names.runs[run] for run in _list_runs(about) if run in self.names.runs]
-        matching_events |= {run.user for run in runs}
-        for name in self._list_experiments(about, head):
-            experiment = self.names.experiments.get(name)
-            if experiment is not None:
-                matching_events.add(experiment.user)
-        return matching_events
+        named = {getattr(event, "by", ""), getattr(event, "user", "")}
+        runs, experiments = self.names.runs, self.names.experiments
+        named |= {runs[run].user for run in _list_runs(about) if run in runs}
+        named |= {experiments[e].user for e in self._list_experiments(about, head) if e in experiments}
+        return named | {head.actor, _find_owner(event, "user")}
 
 
 def is_of_type(type_: str, wanted: str) -> bool:
@@ -215,7 +210,7 @@ def _make_tokens(wanted: LogFilter) -> tuple[bytes, ...]:
     name."""
     for name, owner in ((wanted.run, "run"), (wanted.labware, ""), (wanted.experiment, "experiment")):
         if name:
-            return (_quote(name), _quote(f"{owner}:{name}"))
+            return (msgspec.json.encode(name), msgspec.json.encode(f"{owner}:{name}"))
     return (msgspec.json.encode(local(wanted.module))[1:-1],) if wanted.module else ()
 
 
@@ -225,27 +220,20 @@ def _find_owner(event: Event, kind: str) -> str:
     return name if found == kind else ""
 
 
-def _quote(name: str) -> bytes:
-    return msgspec.json.encode(name)
-
-
 def _list_runs(event: Event) -> set[str]:
     """The runs that an event names."""
-    matching_events = {str(getattr(event, "run", ""))}
-    for field in ("by", "subject"):
-        matching_events.add(str(getattr(event, field, "")))
-    matching_events.add(_find_owner(event, "run"))
-    return matching_events - {""}
+    named = {str(getattr(event, field, "")) for field in ("run", "by", "subject")}
+    return (named | {_find_owner(event, "run")}) - {""}
 
 
 def _list_labware(event: Event) -> set[str]:
     """The labware that an event names. Arguments of actions do not count: P7 may be a well there."""
-    named = getattr(event, "labware", ())
-    matching_events = {named} if isinstance(named, str) else set(named)
+    labware = getattr(event, "labware", ())
+    named = {labware} if isinstance(labware, str) else set(labware)
     for effect in (*getattr(event, "effects", ()), *getattr(event, "motions", ())):
         if not isinstance(effect, str):
-            matching_events.add(getattr(effect, "labware", ""))
-    return matching_events
+            named.add(getattr(effect, "labware", ""))
+    return named
 
 
 def _names_module(event: Event, actor: str, wanted: str) -> bool:

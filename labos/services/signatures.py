@@ -110,75 +110,54 @@ def list_signatures(log: Log, subject: str = "") -> list[Signature]:
     found: list[Signature] = []
     known: dict[str, Signed] = {}
     for record in log.select(LogQuery(types=SIGNED)):
-        event = read_signature(record)
-        if subject not in ("", event[0]):
+        head = record.head
+        event = decode(head.type, head.schema, record.payload)
+        kind: Kind
+        if isinstance(event, RecordsSigned):
+            name, kind, runs = event.subject, event.kind, event.runs
+        else:
+            assert isinstance(event, RunSigned)
+            name, kind, runs = event.run, "run", 0
+        if subject not in ("", name):
             continue
-        found.append(_make_signature(log, record, event, known))
+        if name not in known:
+            known[name] = _digest_subject(log, name, kind)
+        signature = make_from(
+            Signature,
+            event,
+            subject=name,
+            kind=kind,
+            run=name if kind == "run" else "",
+            at=head.recorded_at,
+            time=iso_time(head.recorded_at),
+            position=head.position,
+            runs=runs,
+            holds=known[name] == Signed(kind, runs, event.records, event.digest),
+        )
+        found.append(signature)
     return found
-
-
-def list_signatures_under(log: Log, subject: str) -> list[Signature]:
-    """The signatures for a subject. Raises NotFound if the log does not have it."""
-    find_kind(log, subject)
-    return list_signatures(log, subject)
 
 
 def check_signatures(log: Log) -> VerifiedPart:
     """Whether the signed records of each signature are unchanged."""
     found = list_signatures(log)
-    broken = [each for each in found if not each.holds]
-    faults = tuple(
-        f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, but "
-        "these records have changed."
-        for each in broken
-    )
+    broken = [
+        (
+            f"Position {each.position}: {each.by} signed {each.records} records of {each.subject}, but "
+            "these records have changed.",
+            each.position,
+        )
+        for each in found
+        if not each.holds
+    ]
     result = f"{len(found)} signatures match their records."
-    return VerifiedPart("signatures", len(found), result, faults, tuple(each.position for each in broken))
-
-
-def read_signature(record: Record) -> tuple[str, Kind, RunSigned | RecordsSigned]:
-    """The subject that was signed, its kind, and the event."""
-    event = decode(record.head.type, record.head.schema, record.payload)
-    if isinstance(event, RunSigned):
-        return event.run, "run", event
-    assert isinstance(event, RecordsSigned)
-    return event.subject, event.kind, event
-
-
-def _make_signature(
-    log: Log,
-    record: Record,
-    signed: tuple[str, Kind, RunSigned | RecordsSigned],
-    known: dict[str, Signed],
-) -> Signature:
-    subject, kind, event = signed
-    if subject not in known:
-        known[subject] = _digest_subject(log, subject, kind)
-    runs = event.runs if isinstance(event, RecordsSigned) else 0
-    at = record.head.recorded_at
-    return make_from(
-        Signature,
-        event,
-        subject=subject,
-        kind=kind,
-        run=subject if kind == "run" else "",
-        at=at,
-        time=iso_time(at),
-        position=record.head.position,
-        runs=runs,
-        holds=known[subject] == Signed(kind, runs, event.records, event.digest),
-    )
+    return VerifiedPart.sum_up("signatures", len(found), result, broken)
 
 
 def _digest_subject(log: Log, subject: str, kind: Kind) -> Signed:
     runs = () if kind == "run" else list_runs(log, subject)
-    return digest_records(kind, len(runs), _read_records(log, (subject, *runs)))
-
-
-def digest_records(kind: Kind, runs: int, records: Iterable[Record]) -> Signed:
-    """The content of a signature for these records, which are in the order of the log."""
-    envelopes = [record.envelope for record in records]
-    return Signed(kind, runs, len(envelopes), make_digest_of_records(envelopes))
+    envelopes = [record.envelope for record in _read_records(log, (subject, *runs))]
+    return Signed(kind, len(runs), len(envelopes), make_digest_of_records(envelopes))
 
 
 def _read_records(log: Log, streams: tuple[str, ...]) -> list[Record]:

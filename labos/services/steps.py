@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import msgspec
@@ -69,20 +69,15 @@ def iterate_steps(
             seen = now
 
 
-def list_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[StateChange]:
-    """The differences between two states, without the fields that every event changes."""
-    for key in (*before, *(k for k in after if k not in before)):
-        if key not in PAST_COUNTERS:
-            yield from _list_changes_between(key, before.get(key, _ABSENT), after.get(key, _ABSENT))
-
-
-def _list_changes_between(path: str, before: Any, after: Any) -> Iterator[StateChange]:
+def list_changes(before: Any, after: Any, path: str = "") -> Iterator[StateChange]:
+    """The differences between two states, or two values at a path, without the fields that every event
+    changes."""
     if before == after:
         return
     if isinstance(before, dict) and isinstance(after, dict):
         for key in (*before, *(k for k in after if k not in before)):
-            yield from _list_changes_between(
-                f"{path}.{key}", before.get(key, _ABSENT), after.get(key, _ABSENT)
-            )
+            if path or key not in PAST_COUNTERS:
+                place = f"{path}.{key}" if path else key
+                yield from list_changes(before.get(key, _ABSENT), after.get(key, _ABSENT), place)
     else:
         yield StateChange(path, before, after)

@@ -1,20 +1,21 @@
-"""The checks of ``labos verify`` beside the chain: snapshot, end of the log, blobs, journals, benches.
+"""The checks of ``labos verify`` beside the chain: snapshot, end of the log, blobs, words, journals,
+benches.
 
 Each check reports what was checked, how many things, and each fault in one sentence that names the place.
 """
 
 from __future__ import annotations
 
-import contextlib
 import re
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, Protocol
 
 import msgspec
 
+from labos.core.erasure import list_erased, list_references_in_words
 from labos.core.fold import fold_rows
 from labos.core.labware import SamplesRegistered
 from labos.core.modules import ModuleCalibrated
@@ -23,11 +24,14 @@ from labos.core.runs import RunSubmitted
 from labos.core.state import LabState, encode_picture, fold_fingerprint
 from labos.errors import JournalDamaged, LabosError, LogDamaged, NotFound
 from labos.node.journal import Memory, read_journal
-from labos.ports import BlobReader, Log, StoredSnapshot
+from labos.ports import BlobReader, Log, StoredSnapshot, StoredWords
 
 _DIGEST = re.compile(rb"[0-9a-f]{64}")
 _RESULT = frozenset({"file", "sha256", "bytes"})
 """The fields of a file in a result."""
+
+Fault = tuple[str, int | None]
+"""A fault in one sentence, and its position in the log; None if it has no position."""
 
 
 class VerifiedPart(msgspec.Struct, frozen=True):
@@ -40,11 +44,24 @@ class VerifiedPart(msgspec.Struct, frozen=True):
     faults: tuple[str, ...] = ()
     positions: tuple[int, ...] = ()
 
+    @classmethod
+    def sum_up(cls, name: str, checked: int, result: str, found: Sequence[Fault]) -> VerifiedPart:
+        """A part with the faults that were found."""
+        positions = tuple(position for _, position in found if position is not None)
+        return cls(name, checked, result, tuple(fault for fault, _ in found), positions)
+
+    @classmethod
+    def fail(cls, name: str, checked: int, fault: str, *positions: int) -> VerifiedPart:
+        """A part whose result is a fault."""
+        return cls(name, checked, fault, (fault,), positions)
+
 
 class VerifiableStore(Log, Protocol):
-    """An event store, for reading."""
+    """An event store with words beside the log, for reading."""
 
     def flaw(self) -> str: ...
+    def all_words(self) -> Iterator[StoredWords]: ...
+    def erasures(self) -> Mapping[str, int]: ...
 
     @property
     def known_position(self) -> int: ...
@@ -59,8 +76,9 @@ def check_database(store: VerifiableStore) -> VerifiedPart:
     """Whether the database reports its own tables and indices as intact. The chain does not cover the
     indices, which queries use. Raises StoreUnavailable."""
     if flaw := store.flaw():
-        fault = f"The database finds its own tables or indices damaged: {flaw}."
-        return VerifiedPart("database", 1, fault, (fault,))
+        return VerifiedPart.fail(
+            "database", 1, f"The database finds its own tables or indices damaged: {flaw}."
+        )
     return VerifiedPart("database", 1, "The database finds no fault with its tables and indices.")
 
 
@@ -76,7 +94,7 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     if found.on_log != found.hash:
         there = "after the end of the log" if found.on_log is None else "but the log has another record there"
         fault = f"The sealed snapshot is of position {found.position}, {there}: the log was cut or rewritten."
-        return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
+        return VerifiedPart.fail("snapshot", 1, fault, found.position)
     if found.fingerprint != fold_fingerprint():
         result = f"The snapshot of position {found.position} is sealed; another version of LabOS made it."
         return VerifiedPart("snapshot", 1, result)
@@ -84,7 +102,7 @@ def check_snapshot(store: VerifiableStore) -> VerifiedPart:
     fold_rows(state, store.replay(0, found.position))
     if encode_picture(state) != found.data:
         fault = f"The sealed snapshot of position {found.position} differs from the state by the log."
-        return VerifiedPart("snapshot", 1, fault, (fault,), (found.position,))
+        return VerifiedPart.fail("snapshot", 1, fault, found.position)
     return VerifiedPart(
         "snapshot", 1, f"The snapshot of position {found.position} is sealed and agrees with the log."
     )
@@ -100,10 +118,10 @@ def check_end(store: VerifiableStore) -> VerifiedPart:
             f"The log is empty, but the log of this lab's folder once ended at {known}: it is lost, "
             "or this is the wrong database."
         )
-        return VerifiedPart("end", 1, fault, (fault,), (1,))
+        return VerifiedPart.fail("end", 1, fault, 1)
     if known > position:
         fault = f"The log ends at position {position}, but it once ended at {known}: its end is lost."
-        return VerifiedPart("end", 1, fault, (fault,), (position + 1,))
+        return VerifiedPart.fail("end", 1, fault, position + 1)
     return VerifiedPart("end", 1, f"By the note in the lab's folder, the log has at least {known} positions.")
 
 
@@ -112,18 +130,16 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
     counted. Raises StoreUnavailable."""
     stored = set(blobs.names())  # read before the log: a blob exists before the event that names it
     named, mentioned = _list_digests(log)
-    faults, positions = [], []
+    found: list[Fault] = []
     for digest, position in named.items():
         try:
             blobs.get(digest)
         except NotFound:
-            faults.append(f"Position {position} names the blob {digest}, which is missing.")
-            positions.append(position)
+            found.append((f"Position {position} names the blob {digest}, which is missing.", position))
         except LogDamaged:
-            faults.append(
-                f"The blob {digest} that position {position} names was changed after it was stored."
-            )
-            positions.append(position)
+            fault = f"The blob {digest} that position {position} names was changed after it was stored."
+            found.append((fault, position))
+    good = len(named) - len(found)
     others = stored - named.keys()
     for digest in sorted(others):
         try:
@@ -131,11 +147,12 @@ def check_blobs(log: Log, blobs: Blobs) -> VerifiedPart:
         except NotFound:  # another process has removed it meanwhile
             continue
         except LogDamaged:
-            faults.append(f"The blob {digest}, which the log does not need, was changed after it was stored.")
+            fault = f"The blob {digest}, which the log does not need, was changed after it was stored."
+            found.append((fault, None))
     unnamed = len(others - mentioned)
-    result = f"Blobs: the log names {len(named)}, {len(named) - len(positions)} are there and unchanged"
+    result = f"Blobs: the log names {len(named)}, {good} are there and unchanged"
     result += f"; {unnamed} others are there." if unnamed else "."
-    return VerifiedPart("blobs", len(named) + len(others), result, tuple(faults), tuple(positions))
+    return VerifiedPart.sum_up("blobs", len(named) + len(others), result, found)
 
 
 def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
@@ -143,6 +160,40 @@ def find_unused_blobs(log: Log, blobs: Blobs) -> list[str]:
     stored = set(blobs.names())  # read before the log: a blob exists before the event that names it
     named, mentioned = _list_digests(log)
     return sorted(stored - named.keys() - mentioned)
+
+
+def check_words(store: VerifiableStore) -> VerifiedPart:
+    """Whether each text beside the log is unchanged, and whether an event explains each missing text. The
+    event is in this log, or in a newer copy of it that the lab's folder knows of. Raises StoreUnavailable,
+    BadInput."""
+    named, erased = _count_references(store)
+    elsewhere = store.erasures()
+    found: list[tuple[int, str]] = []
+    whole = gone = apart = 0
+    for standing in store.all_words():
+        name, position = standing.words.reference, standing.position
+        named.pop(name, None)
+        if standing.words.is_erased:
+            gone += name in erased
+            apart += name not in erased and name in elsewhere
+            if name not in erased and name not in elsewhere:
+                found.append((position, "words are gone, but no event records their erasure"))
+        elif name in erased:
+            found.append((position, f"words are there although they were erased at position {erased[name]}"))
+        elif not standing.words.is_genuine:
+            found.append((position, "the words stored beside the log were changed after they were written"))
+        else:
+            whole += 1
+    found += [
+        (position, "words are missing beside the log, but no event records their erasure")
+        for name, position in named.items()
+        if name not in erased
+    ]
+    found.sort()
+    result = f"Words beside the log: {whole} are unchanged, {gone} were erased"
+    result += f", {apart} in a newer copy of this log." if apart else "."
+    faults = [(f"Position {position}: {fault}.", position) for position, fault in found]
+    return VerifiedPart.sum_up("words", whole + gone + apart + len(found), result, faults)
 
 
 def check_journals(folder: Path) -> tuple[VerifiedPart, dict[str, Memory]]:
@@ -206,27 +257,36 @@ def _list_digests(log: Log) -> tuple[dict[str, int], set[str]]:
     return named, mentioned
 
 
+def _count_references(log: Log) -> tuple[dict[str, int], dict[str, int]]:
+    """The references in fields of words, and the references that events list as erased; each with its
+    position."""
+    named: dict[str, int] = {}
+    erased: dict[str, int] = {}
+    for position, kind, schema, _, payload in log.replay():
+        erased.update((reference, position) for reference in list_erased(kind, schema, payload))
+        for reference in list_references_in_words(kind, payload):
+            named.setdefault(reference, position)
+    return named, erased
+
+
 def find_needed_blobs(kind: str, payload: bytes) -> list[str]:
-    """The blobs that an event of a type needs, according to its stored payload."""
-    with contextlib.suppress(msgspec.DecodeError):
-        return _list_needed(kind, msgspec.json.decode(payload))
-    return []
-
-
-def _list_needed(kind: str, payload: Any) -> list[str]:
-    """For ``find_needed_blobs``: workflows and files of runs, sample sheets, files of results, reports of
-    calibrations."""
+    """The blobs that an event of a type needs, according to its stored payload: workflows and files of runs,
+    sample sheets, files of results, reports of calibrations."""
+    try:
+        content: Any = msgspec.json.decode(payload)
+    except msgspec.DecodeError:
+        return []
     found: list[Any] = []
     match kind:
         case RunSubmitted.TYPE:
-            found.append(payload.get("pins", {}).get("workflow"))
+            found.append(content.get("pins", {}).get("workflow"))
         case PlanRecorded.TYPE:
-            found.extend(payload.get("files", {}).values())
+            found.extend(content.get("files", {}).values())
         case SamplesRegistered.TYPE:
-            found.extend((payload.get("sheet"), payload.get("blob")))
+            found.extend((content.get("sheet"), content.get("blob")))
         case ModuleCalibrated.TYPE:
-            found.append(payload.get("file"))
-    waiting = [payload]
+            found.append(content.get("file"))
+    waiting = [content]
     while waiting:
         item = waiting.pop()
         if isinstance(item, dict):

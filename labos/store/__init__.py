@@ -4,21 +4,11 @@ from labos.store._accounts import SqlAccounts, open_accounts
 from labos.store._accounts_copy import AccountsCopy, copy_accounts, put_accounts_back, read_accounts_copy
 from labos.store._archive import move_old_segments
 from labos.store._backend import Holder
-from labos.store._backup import backup, key_of, read_backup, records_of, verify_backup
+from labos.store._backup import backup, key_of, read_backup, records_of, verify_backup, verify_detached
 from labos.store._blobs import FolderBlobs
-from labos.store._detached import verify_detached
-from labos.store._erasures import ERASURES, read_erasures
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
-from labos.store._home import forget_end
-from labos.store._lease import (
-    find_database_file,
-    find_lease_holder,
-    find_silent_holder,
-    is_replica,
-    measure_database,
-    show_url,
-)
+from labos.store._home import ERASURES, forget_end, read_erasures
 from labos.store._migrate import (
     DatabaseStatus,
     find_migrations_folder,
@@ -26,7 +16,16 @@ from labos.store._migrate import (
     read_database_status,
 )
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
-from labos.store._open import open_store, scrub_words
+from labos.store._open import (
+    find_database_file,
+    find_lease_holder,
+    find_silent_holder,
+    is_replica,
+    measure_database,
+    open_store,
+    scrub_words,
+    show_url,
+)
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
 from labos.store._segment import encode_record, read_segment, write_segment

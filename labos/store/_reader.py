@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import hmac
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import msgspec
 import structlog
-from sqlalchemy import Integer, literal_column, select, true
+from sqlalchemy import ColumnElement, Integer, Select, and_, func, literal_column, or_, select, true
 from sqlalchemy.engine import URL
 
 from labos.core.envelope import GENESIS, Envelope, Record, decode_folded
 from labos.core.structs import make_from
+from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
 from labos.errors import LogDamaged
 from labos.ports import Head, LogQuery, Row, StoredSnapshot, StoredWords
@@ -20,10 +22,9 @@ from labos.store._backend import Backend
 from labos.store._checked import CheckedRows, report_damage
 from labos.store._errors import TranslatedErrors
 from labos.store._home import SEAL, HomeFiles
-from labos.store._select import make_selection, select_positions_of_last
-from labos.store._tables import event, head, snapshot
+from labos.store._tables import event, head, snapshot, words
 from labos.store._url import display_name
-from labos.store._words import read_all_words, read_words, read_words_by
+from labos.store._words import read_kept, read_words
 
 _log = structlog.get_logger(__name__)
 
@@ -159,8 +160,11 @@ class LogReader:
         statement = make_selection(query, self._backend.contains)
         after, lab = query.after, ""
         if query.last is not None:
+            positions = statement.with_only_columns(event.c.position).order_by(event.c.position.desc())
+            newest = positions.limit(max(query.last, 0)).subquery().c.position
+            ends = select(func.min(newest).label("first"), func.max(newest).label("last"))
             with self._door, self._backend.reading.connect() as connection:
-                span = connection.execute(select_positions_of_last(statement, query.last)).one()
+                span = connection.execute(ends).one()
             if span.first is None:
                 return
             after = span.first - 1
@@ -184,19 +188,28 @@ class LogReader:
 
     def words_by(self, user: str) -> list[tuple[int, str]]:
         """Position and reference of all words of a user that were not erased. Raises StoreUnavailable."""
+        theirs = or_(event.c.actor == user, event.c.actor.endswith(f"{ON_BEHALF}{user}", autoescape=True))
+        query = (
+            select(words.c.position, words.c.reference)
+            .join(event, event.c.position == words.c.position)
+            .where(words.c.erased_at == 0, theirs)
+            .order_by(words.c.position)
+        )
         with self._door, self._backend.reading.connect() as connection:
-            return read_words_by(connection, user)
+            return [(row.position, row.reference) for row in connection.execute(query)]
 
     def all_words(self) -> Iterator[StoredWords]:
         """All words, including erased ones, in the order of their references. Raises StoreUnavailable."""
         after = ""
         while True:
+            query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(_CHUNK)
             with self._door, self._backend.reading.connect() as connection:
-                found = read_all_words(connection, after, _CHUNK)
-            yield from found
-            if len(found) < _CHUNK:
+                rows = connection.execute(query).all()
+            for row in rows:
+                yield StoredWords(read_kept(row), row.position, row.erased_at)
+            if len(rows) < _CHUNK:
                 return
-            after = found[-1].words.reference
+            after = rows[-1].reference
 
     def list_caused_by(self, prefix: str, last: int) -> list[tuple[int, str]]:
         """Positions and causations of those of the ``last`` records whose causation begins with ``prefix``.
@@ -265,3 +278,42 @@ class LogReader:
         """The lab's id, from the head row. It is constant as soon as there is a record."""
         with self._door, self._backend.reading.connect() as connection:
             return str(connection.execute(select(head.c.lab)).scalar_one())
+
+
+Contains = Callable[[Any, str | bytes], ColumnElement[bool]]
+
+
+def make_selection(query: LogQuery, contains: Contains) -> Select[Any]:
+    """The rows that a query selects, except for ``after``, ``last`` and their order."""
+    c = event.c
+    conditions: list[ColumnElement[bool]] = []
+    if query.after:
+        conditions.append(c.position > query.after)
+    if query.upto is not None:
+        conditions.append(c.position <= query.upto)
+    if query.types:
+        conditions.append(or_(*(_match_type(name) for name in query.types)))
+    if query.streams:
+        conditions.append(c.stream.in_(query.streams))
+    if query.correlation:
+        conditions.append(c.correlation == query.correlation)
+    if query.actor:
+        conditions.append(c.actor == query.actor)
+    if query.mentions:
+        # In a payload the text has the form of JSON.
+        quoted = msgspec.json.encode(query.mentions)[1:-1]
+        beside = select(words.c.position).where(contains(words.c.text, query.mentions))
+        matches = (contains(c.payload, quoted), contains(c.stream, query.mentions), c.position.in_(beside))
+        conditions.append(or_(*matches))
+    if query.since_ns is not None:
+        conditions.append(c.recorded_at >= query.since_ns)
+    if query.until_ns is not None:
+        conditions.append(c.recorded_at < query.until_ns)
+    return select(event).where(*conditions)
+
+
+def _match_type(name: str) -> ColumnElement[bool]:
+    """A type, or every type of a family: all names between ``name.`` and ``name/``, the next character in
+    byte order. A range uses the index, and has no wildcards."""
+    family = name.rstrip(".*")
+    return or_(event.c.type == family, and_(event.c.type >= f"{family}.", event.c.type < f"{family}/"))

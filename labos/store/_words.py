@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from sqlalchemy import Connection, or_, select
+from sqlalchemy import Connection, select
 
 from labos.core.envelope import Record
 from labos.core.erasure import list_erased
-from labos.core.users import ON_BEHALF
 from labos.core.words import Kept
 from labos.ports import Row, StoredWords
 from labos.store._backend import WordChanges
-from labos.store._tables import event, words
+from labos.store._tables import words
 
 _AT_ONCE = 500
 """The number of references that one statement looks up."""
@@ -45,26 +44,8 @@ def read_words(connection: Connection, references: Iterable[str]) -> dict[str, K
     for begin in range(0, len(named), _AT_ONCE):
         some = words.c.reference.in_(named[begin : begin + _AT_ONCE])
         for row in connection.execute(select(words.c.reference, words.c.salt, words.c.text).where(some)):
-            found[row.reference] = _read_kept(row)
+            found[row.reference] = read_kept(row)
     return found
-
-
-def read_all_words(connection: Connection, after: str, limit: int) -> list[StoredWords]:
-    """The next words after a reference, in the order of their references."""
-    query = select(words).where(words.c.reference > after).order_by(words.c.reference).limit(limit)
-    return [StoredWords(_read_kept(row), row.position, row.erased_at) for row in connection.execute(query)]
-
-
-def read_words_by(connection: Connection, user: str) -> list[tuple[int, str]]:
-    """Positions and references of the words of a user that were not erased."""
-    theirs = or_(event.c.actor == user, event.c.actor.endswith(f"{ON_BEHALF}{user}", autoescape=True))
-    query = (
-        select(words.c.position, words.c.reference)
-        .join(event, event.c.position == words.c.position)
-        .where(words.c.erased_at == 0, theirs)
-        .order_by(words.c.position)
-    )
-    return [(row.position, row.reference) for row in connection.execute(query)]
 
 
 def read_erased(connection: Connection) -> dict[str, int]:
@@ -78,7 +59,8 @@ def row_of(each: StoredWords) -> Row:
     return each.words.reference, each.position, each.words.salt, each.words.text, each.erased_at
 
 
-def _read_kept(row: Any) -> Kept:
+def read_kept(row: Any) -> Kept:
+    """The words of a row."""
     salt, text = row.salt, row.text
     if not isinstance(salt, bytes | memoryview) or not isinstance(text, str):
         # SQLite allows values of any type in a column; a wrong value is detected by its digest.

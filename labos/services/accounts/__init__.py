@@ -1,7 +1,16 @@
 """Signing in: users and their passwords, tokens of programs, sessions of browsers, identity providers."""
 
-from labos.services.accounts.accounts import Accounts, Credential, Need, allows
-from labos.services.accounts.secrets import HOME, SESSION, TOKEN, make_digest, make_secret
+from labos.services.accounts.accounts import (
+    HOME,
+    SESSION,
+    TOKEN,
+    Accounts,
+    Credential,
+    Need,
+    allows,
+    make_digest,
+    make_secret,
+)
 
 __all__ = [
     "HOME",

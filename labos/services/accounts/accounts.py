@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import secrets
 from collections.abc import Callable, Collection
 from typing import Literal
 
@@ -13,7 +15,6 @@ from labos.clock import Clock
 from labos.errors import BadInput, NotFound, NotSignedIn, TooManyTries
 from labos.ports import AccountStore, Person, Session, Token
 from labos.services.accounts.passwords import Passwords, check_password
-from labos.services.accounts.secrets import SESSION, TOKEN, make_digest, make_id, make_secret
 from labos.services.accounts.tries import Tries
 
 Need = Literal["viewer", "submitter", "operator", "admin"]
@@ -31,8 +32,27 @@ MOST_KNOWN = 10_000
 MOST_TOKENS = 100
 """The largest number of valid tokens of one user."""
 
+TOKEN, SESSION, HOME = "labos_token_", "labos_session_", "labos_home_"
+"""The prefixes of secrets, which are 256 random bits. By the prefix, people and programs that search for
+leaked secrets recognise them."""
+
 _SECOND = 1_000_000_000
 _log = structlog.get_logger(__name__)
+
+
+def make_secret(prefix: str) -> str:
+    """The prefix and 43 letters, digits, ``-`` and ``_``."""
+    return prefix + secrets.token_urlsafe(32)
+
+
+def make_digest(secret: str) -> bytes:
+    """The digest that is stored in place of a secret. A secret is random, so no slower hash is needed."""
+    return hashlib.sha256(secret.encode()).digest()
+
+
+def make_id() -> str:
+    """The public id of a token; nothing about the token follows from it."""
+    return secrets.token_hex(4)
 
 
 class Credential(msgspec.Struct, frozen=True):

@@ -181,9 +181,22 @@ class Provider:
         client: ProviderClient,
         nonce: str = "",
     ) -> ProviderClaims:
-        """The claims about the user whom the provider's tokens for ``client`` name. Raises NotSignedIn."""
+        """The claims about the user whom the provider's tokens for ``client`` name; some providers send name
+        and groups only on a separate request. Raises NotSignedIn."""
         claims = await self._verify(http, known, tokens.id_token, client.id, nonce)
-        return await self._with_user_info(http, known, tokens, claims)
+        if known.userinfo_endpoint and self.settings.groups_claim not in claims:
+            shown = {"authorization": f"Bearer {tokens.access_token}"}
+            more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
+            if more.get("sub") != claims["sub"]:
+                raise make_refusal("its user data is about another user")
+            claims = {**more, **claims}
+        groups = claims.get(self.settings.groups_claim, [])
+        return ProviderClaims(
+            str(claims["sub"])[:500],
+            str(claims.get("name", ""))[:500] if self.settings.keep_names else "",
+            str(claims.get("email", ""))[:254] if self.settings.keep_names else "",
+            tuple(str(group) for group in groups) if isinstance(groups, list) else (str(groups),),
+        )
 
     # -- the provider ------------------------------------------------------------------------------
 
@@ -263,24 +276,6 @@ class Provider:
         if others and claims.get("azp") != client:
             raise make_refusal("its ID token is for another client")
         return claims
-
-    async def _with_user_info(
-        self, http: httpx.AsyncClient, known: ProviderMetadata, tokens: ProviderTokens, claims: dict[str, Any]
-    ) -> ProviderClaims:
-        """The claims with name and groups: some providers send these only on a separate request."""
-        if known.userinfo_endpoint and self.settings.groups_claim not in claims:
-            shown = {"authorization": f"Bearer {tokens.access_token}"}
-            more = await ask_provider(http, "GET", known.userinfo_endpoint, dict, headers=shown)
-            if more.get("sub") != claims["sub"]:
-                raise make_refusal("its user data is about another user")
-            claims = {**more, **claims}
-        groups = claims.get(self.settings.groups_claim, [])
-        return ProviderClaims(
-            str(claims["sub"])[:500],
-            str(claims.get("name", ""))[:500] if self.settings.keep_names else "",
-            str(claims.get("email", ""))[:254] if self.settings.keep_names else "",
-            tuple(str(group) for group in groups) if isinstance(groups, list) else (str(groups),),
-        )
 
 
 async def ask_provider(http: httpx.AsyncClient, method: str, url: str, kind: type[T], **options: Any) -> T:

@@ -133,20 +133,14 @@ def _make_question_notice(event: InterventionRequested, head: Envelope) -> Notic
         lines.append(f"  labos confirm {event.intervention}   (or --not-done)")
     for choice in () if planned else event.choices:
         lines.append(f"  labos resolve {event.intervention} {choice.name}   {choice.consequence}")
-    return Notice(
-        head.id,
-        head.position,
-        head.recorded_at,
-        "interventions",
-        intervention_key(event.intervention),
-        f"{event.intervention}: {'work for you' if planned else 'the lab asks you'}",
-        "\n".join(lines),
-        event.kind not in MILD and not planned,
-    )
+    key = intervention_key(event.intervention)
+    title = f"{event.intervention}: {'work for you' if planned else 'the lab asks you'}"
+    urgent = event.kind not in MILD and not planned
+    return _make_notice(event, head, "interventions", key, title, "\n".join(lines), urgent=urgent)
 
 
 def _make_notice(
-    event: Event, head: Envelope, topic: str, key: str, title: str, *, urgent: bool = False
+    event: Event, head: Envelope, topic: str, key: str, title: str, text: str = "", *, urgent: bool = False
 ) -> Notice:
-    text = describe(event, head)
+    text = text or describe(event, head)
     return Notice(head.id, head.position, head.recorded_at, topic, key, title, text, urgent)

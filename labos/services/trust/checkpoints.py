@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import msgspec
 
-from labos.core.envelope import Record
 from labos.core.merkle import Edge, hash_leaf
 from labos.errors import BadInput
 from labos.services.log import Log
@@ -46,10 +45,6 @@ def parse_tree_head(text: str) -> TreeHead:
 
 def sign_tree(head: TreeHead, key: SigningKey) -> Note:
     return Note(head.text, (key.sign(head.text),))
-
-
-def iterate_leaves(records: Iterable[Record]) -> Iterator[bytes]:
-    return (hash_leaf(record.envelope) for record in records)
 
 
 def compute_roots_at(log: Log, sizes: Iterable[int]) -> dict[int, bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
 
 import httpx
 
@@ -11,13 +10,6 @@ from labos.errors import BadInput, SystemFailed
 from labos.private import make_folder, replace_file
 
 TIMEOUT_S = 10.0
-
-
-class PublishPlace(Protocol):
-    """``put`` stores a small file under a name, as durably as the place can guarantee. Raises
-    SystemFailed."""
-
-    def put(self, name: str, data: bytes) -> None: ...
 
 
 class Folder:
@@ -28,6 +20,7 @@ class Folder:
         return str(self.path)
 
     def put(self, name: str, data: bytes) -> None:
+        """Store a small file under a name, as durably as the folder can guarantee. Raises SystemFailed."""
         target = self.path / name
         try:
             make_folder(self.path)
@@ -40,7 +33,7 @@ class Folder:
 
 
 class HttpPlace:
-    """``PUT url/name``, as WebDAV and many object stores accept it."""
+    """A folder behind ``PUT url/name``, as WebDAV and many object stores accept it."""
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
@@ -63,7 +56,7 @@ class HttpPlace:
             )
 
 
-def place_of(text: str) -> PublishPlace:
+def place_of(text: str) -> Folder | HttpPlace:
     """A folder, or an ``http(s)`` URL. Raises BadInput for another kind of URL."""
     if text.startswith(("http://", "https://")):
         return HttpPlace(text)

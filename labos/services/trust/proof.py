@@ -42,7 +42,7 @@ from labos.services.trust.checkpoints import TreeHead, parse_tree_head
 from labos.services.trust.keys import TrustedKeys, parse_rotations
 from labos.services.trust.notes import Note, PublicKey, parse_note
 from labos.services.trust.timestamp import read_stamp_time
-from labos.services.verification import VerifiedPart, find_needed_blobs
+from labos.services.verification import Fault, VerifiedPart, find_needed_blobs
 
 LARGEST = 4 << 30
 """The largest total size in bytes of a bundle's unpacked files."""
@@ -143,11 +143,11 @@ def _check_signature(
         return VerifiedPart("signature", 1, error.message, (str(error),)), ""
     if not known.list_for(head.origin):
         fault = f"The checkpoint is of {head.origin}, but no key with this name was given."
-        return VerifiedPart("signature", 1, fault, (fault,)), ""
+        return VerifiedPart.fail("signature", 1, fault), ""
     if not signers:
         by = ", ".join(f"{each.name} ({each.key_id.hex()})" for each in note.signatures)
         fault = f"No key that was given has signed the checkpoint; it is signed by {by}."
-        return VerifiedPart("signature", 1, fault, (fault,)), ""
+        return VerifiedPart.fail("signature", 1, fault), ""
     signer = signers[-1]
     by_way = "" if signer in trust.keys else ", the successor of the key that was given"
     result = f"The checkpoint of size {head.size} is signed by {signer.name} ({signer.id.hex()}){by_way}."
@@ -164,8 +164,7 @@ def _check_witnesses(note: Note, trust: Trust) -> Iterator[VerifiedPart]:
             at = next(each.time_s for each in note.signatures if each.is_by(key))
             yield VerifiedPart("witness", 1, f"The witness {key.name} cosigned it at {iso_time(at * 10**9)}.")
         else:
-            fault = f"The witness {key.name} has not cosigned the checkpoint."
-            yield VerifiedPart("witness", 1, fault, (fault,))
+            yield VerifiedPart.fail("witness", 1, f"The witness {key.name} has not cosigned the checkpoint.")
 
 
 def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[VerifiedPart]:
@@ -174,8 +173,7 @@ def _check_stamp(files: dict[str, bytes], note: Note, trust: Trust) -> Iterator[
         if stamp is not None:
             yield VerifiedPart("time stamp", 0, "There is a time stamp; it was not checked (--tsa FILE).")
     elif stamp is None:
-        fault = "The checkpoint has no time stamp."
-        yield VerifiedPart("time stamp", 0, fault, (fault,))
+        yield VerifiedPart.fail("time stamp", 0, "The checkpoint has no time stamp.")
     else:
         try:
             at = read_stamp_time(stamp, note.text.encode(), trust.authorities)
@@ -190,8 +188,7 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
     """Whether each event is in the tree and has its payload. Events that are not are left out of the later
     checks."""
     good: list[Record] = []
-    faults: list[str] = []
-    positions: list[int] = []
+    faults: list[Fault] = []
     lines = files[EVENTS].splitlines()
     for number, line in enumerate(lines, 1):
         try:
@@ -201,54 +198,47 @@ def _check_events(files: dict[str, bytes], head: TreeHead) -> tuple[VerifiedPart
             event = Record(_envelope.decode(envelope), envelope, bytes(found.payload), b"")
             proof = [bytes.fromhex(each) for each in found.proof]
         except (msgspec.MsgspecError, ValueError) as error:
-            faults.append(f"Line {number} of {EVENTS} cannot be read ({error}).")
+            faults.append((f"Line {number} of {EVENTS} cannot be read ({error}).", None))
             continue
         at = event.head.position
         if not is_included(hash_leaf(envelope), at - 1, head.size, head.root, proof):
-            faults.append(f"Position {at}: the event is not in the log that was signed.")
-            positions.append(at)
+            faults.append((f"Position {at}: the event is not in the log that was signed.", at))
         elif digest(event.payload) != event.head.digest:
-            faults.append(
-                f"Position {at}: the payload of {event.head.type} was changed after it was recorded."
-            )
-            positions.append(at)
+            fault = f"Position {at}: the payload of {event.head.type} was changed after it was recorded."
+            faults.append((fault, at))
         else:
             good.append(event)
     result = f"{len(good)} of {len(lines)} events are in the log that was signed."
-    return VerifiedPart("events", len(lines), result, tuple(faults), tuple(positions)), good
+    return VerifiedPart.sum_up("events", len(lines), result, faults), good
 
 
 def _check_story(about: AboutBundle, events: Sequence[Record]) -> VerifiedPart:
     """Whether these are all events of the bundle's subject and of its runs, each from its beginning to its
     end."""
     streams = {about.of: about.kind, **dict.fromkeys(about.runs, "run")}
-    faults, positions = [], []
+    faults: list[Fault] = []
     if len({event.head.lab for event in events} | {about.lab}) > 1:
-        faults.append("The events are from several labs, or not from the lab of the bundle.")
+        faults.append(("The events are from several labs, or not from the lab of the bundle.", None))
     if [event.head.position for event in events] != sorted({event.head.position for event in events}):
-        faults.append("The events are not in the order of the log.")
+        faults.append(("The events are not in the order of the log.", None))
     by_stream: dict[str, list[Record]] = {name: [] for name in streams}
     for event in events:
         by_stream.get(event.head.stream, []).append(event)
     for name, own in by_stream.items():
-        for fault, position in _list_gaps(name, streams[name], own):
-            faults.append(fault)
-            positions += position
+        faults += _list_gaps(name, streams[name], own)
         if name != about.of and not any(_is_submission(event, about.of) for event in own):
-            faults.append(f"The run {name} does not belong to {about.of}.")
+            faults.append((f"The run {name} does not belong to {about.of}.", None))
     own = [event for event in events if event.head.stream in streams]
     planned = set(list_plan_streams(own))
     for event in events:
         is_plan = event.head.type in PLANS and event.head.stream in planned
         if event.head.stream in streams or is_plan or is_signature(event.head.type, event.payload, streams):
             continue
-        faults.append(f"Position {event.head.position}: {event.head.type} does not belong to {about.of}.")
-        positions.append(event.head.position)
+        at = event.head.position
+        faults.append((f"Position {at}: {event.head.type} does not belong to {about.of}.", at))
     if about.kind == "campaign":
         faults += _find_missing_rows(about, by_stream[about.of])
-    return VerifiedPart(
-        about.kind, len(own), _describe_story(about, len(own)), tuple(faults), tuple(positions)
-    )
+    return VerifiedPart.sum_up(about.kind, len(own), _describe_story(about, len(own)), faults)
 
 
 def _describe_story(about: AboutBundle, own: int) -> str:
@@ -261,38 +251,39 @@ def _describe_story(about: AboutBundle, own: int) -> str:
     return whole + only
 
 
-def _list_gaps(name: str, kind: str, own: Sequence[Record]) -> Iterator[tuple[str, list[int]]]:
-    """The events that are missing in a stream, with the positions at which this is visible."""
+def _list_gaps(name: str, kind: str, own: Sequence[Record]) -> Iterator[Fault]:
+    """The events that are missing in a stream."""
     for number, event in enumerate(own, 1):
         if event.head.version != number:
             at = event.head.position
             gap = f"this is event {event.head.version} of {name}, number {number} is missing"
-            yield f"Position {at}: {gap}.", [at]
+            yield f"Position {at}: {gap}.", at
             break
     kinds = {event.head.type for event in own}
     if kind not in {BEGINS.get(each) for each in kinds}:
-        yield f"The {'start' if kind == 'experiment' else 'submission'} of {name} is missing.", []
+        yield f"The {'start' if kind == 'experiment' else 'submission'} of {name} is missing.", None
     if kinds.isdisjoint(ENDS[kind]):  # type: ignore[index]
-        yield f"The end of {name} is missing.", []
+        yield f"The end of {name} is missing.", None
 
 
 def _is_submission(event: Record, subject: str) -> bool:
     return event.head.type == RunSubmitted.TYPE and belongs_to(event.payload, subject)
 
 
-def _find_missing_rows(about: AboutBundle, own: Sequence[Record]) -> Iterator[str]:
+def _find_missing_rows(about: AboutBundle, own: Sequence[Record]) -> Iterator[Fault]:
     """The end of a campaign states its number of runs."""
     for event in own:
         if event.head.type == CampaignCompleted.TYPE:
             end = msgspec.json.decode(event.payload, type=CampaignCompleted)
             runs = end.completed + end.failed + end.cancelled
             if runs != len(about.runs):
-                yield f"{about.of} had {runs} runs, but {len(about.runs)} are here."
+                yield f"{about.of} had {runs} runs, but {len(about.runs)} are here.", None
 
 
 def _check_signatures(about: AboutBundle, events: Sequence[Record]) -> Iterator[VerifiedPart]:
     """Whether people's signatures for the subject and its runs are for these records."""
-    signed, faults, positions = [], [], []
+    signed: list[str] = []
+    faults: list[Fault] = []
     names = (about.of, *about.runs)
     for event in events:
         if not is_signature(event.head.type, event.payload, names):
@@ -308,11 +299,11 @@ def _check_signatures(about: AboutBundle, events: Sequence[Record]) -> Iterator[
         own = [each.envelope for each in events if each.head.stream in streams]
         signed.append(f"{found.by} ({found.meaning}{of}, {iso_time(event.head.recorded_at)})")
         if (more, found.records, found.digest) != (0, len(own), make_digest_of_records(own)):
-            faults.append(f"Position {event.head.position}: {found.by} signed other records than these.")
-            positions.append(event.head.position)
+            at = event.head.position
+            faults.append((f"Position {at}: {found.by} signed other records than these.", at))
     if signed:
         result = f"{about.of} is signed by {', '.join(signed)}."
-        yield VerifiedPart("signed by", len(signed), result, tuple(faults), tuple(positions))
+        yield VerifiedPart.sum_up("signed by", len(signed), result, faults)
 
 
 def _check_words(files: dict[str, bytes], events: Sequence[Record]) -> Iterator[VerifiedPart]:
@@ -322,22 +313,20 @@ def _check_words(files: dict[str, bytes], events: Sequence[Record]) -> Iterator[
     for event in events:
         for reference in list_references(event.payload):
             named.setdefault(reference, event.head.position)
-    faults: list[str] = []
-    positions: list[int] = []
+    faults: list[Fault] = []
     found: set[str] = set()
     for number, line in enumerate(files.get(WORDS, b"").splitlines(), 1):
         try:
             entry = _words_decoder.decode(line)
             kept = Kept(entry.reference, bytes.fromhex(entry.salt), entry.text)
         except (msgspec.MsgspecError, ValueError) as error:
-            faults.append(f"Line {number} of {WORDS} cannot be read ({error}).")
+            faults.append((f"Line {number} of {WORDS} cannot be read ({error}).", None))
             continue
         if kept.reference not in named:
-            faults.append(f"Line {number} of {WORDS} is a text that belongs to no event.")
+            faults.append((f"Line {number} of {WORDS} is a text that belongs to no event.", None))
         elif kept.is_erased or not kept.is_genuine:
             at = named[kept.reference]
-            faults.append(f"Position {at}: line {number} of {WORDS} was changed after it was written.")
-            positions.append(at)
+            faults.append((f"Position {at}: line {number} of {WORDS} was changed after it was written.", at))
         else:
             found.add(kept.reference)
     if not named and not faults:
@@ -345,7 +334,7 @@ def _check_words(files: dict[str, bytes], events: Sequence[Record]) -> Iterator[
     left_out = len(named) - len(found)
     result = f"{len(found)} of {len(named)} texts of people are there and unchanged"
     result += f"; {left_out} were erased or left out." if left_out else "."
-    yield VerifiedPart("words", len(named), result, tuple(faults), tuple(positions))
+    yield VerifiedPart.sum_up("words", len(named), result, faults)
 
 
 def _check_blobs(files: dict[str, bytes], events: Sequence[Record]) -> VerifiedPart:
@@ -353,20 +342,21 @@ def _check_blobs(files: dict[str, bytes], events: Sequence[Record]) -> VerifiedP
     for event in events:
         for each in find_needed_blobs(event.head.type, event.payload):
             named.setdefault(each, event.head.position)
-    faults, positions = [], []
+    faults: list[Fault] = []
     for each, position in named.items():
         data = files.get(f"{BLOBS}{each}")
         if data is None:
-            faults.append(f"Position {position} names the file {each}, which is not in the bundle.")
+            fault = f"Position {position} names the file {each}, which is not in the bundle."
+            faults.append((fault, position))
         elif digest(data) != each:
-            faults.append(f"The file {each} that position {position} names was changed after it was stored.")
-        else:
-            continue
-        positions.append(position)
+            fault = f"The file {each} that position {position} names was changed after it was stored."
+            faults.append((fault, position))
     known = {ABOUT, NOTE, STAMP, ROTATIONS, EVENTS, WORDS, *(f"{BLOBS}{each}" for each in named)}
-    faults += [f"The bundle holds {name!r}, which no event names." for name in files if name not in known]
+    faults += [
+        (f"The bundle holds {name!r}, which no event names.", None) for name in files if name not in known
+    ]
     result = f"{len(named)} files that the events name are there and unchanged."
-    return VerifiedPart("files", len(named), result, tuple(faults), tuple(positions))
+    return VerifiedPart.sum_up("files", len(named), result, faults)
 
 
 def _make_bundle_error(path: Path, why: str) -> BadInput:

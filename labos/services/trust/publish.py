@@ -7,13 +7,12 @@ from pathlib import Path
 
 import msgspec
 
-from labos.core.merkle import Tree, list_consistency_ranges, make_growth_proof, make_proof
+from labos.core.merkle import Tree, hash_leaf, list_consistency_ranges, make_growth_proof, make_proof
 from labos.errors import BadInput, LabosError, LogDamaged, Refused
 from labos.services.log import Log
 from labos.services.trust.checkpoints import (
     TreeHead,
     compute_roots_at,
-    iterate_leaves,
     parse_tree_head,
     sign_tree,
 )
@@ -54,7 +53,7 @@ def publish(log: Log, home: Path, targets: Targets) -> PublishResult:
     LogDamaged if the log contradicts an earlier checkpoint, NotFound without a key, BadInput, Refused for an
     empty log, StoreUnavailable."""
     key = SigningKeys(home).read_signing_key()
-    places = [Folder(home / FOLDER), *(place_of(each) for each in targets.places)]
+    places = (Folder(home / FOLDER), *(place_of(each) for each in targets.places))
     kept = read_tree(home)
     growth = grow(log, kept)
     if not growth.after.size:
@@ -121,7 +120,7 @@ def _ask_cosignatures(
         if not 0 < old < growth.after.size:
             return []
         # The witness missed some checkpoints, or has seen this one: all leaves are needed.
-        whole = Tree(iterate_leaves(log.read(0, growth.after.size)))
+        whole = Tree(hash_leaf(record.envelope) for record in log.read(0, growth.after.size))
         return make_proof(list_consistency_ranges(old, growth.after.size), whole.hash_of)
 
     found = ask_witness(url, note, growth.before.size, proof)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from labos.audit import _sqlite, database, projector
+from labos.audit import database, projector
 from labos.audit.database import Mark, open_audit
 from labos.audit.projector import Projector
 from labos.audit.tables import VERSION
@@ -100,14 +100,12 @@ def test_older_tables_are_made_anew_and_newer_ones_refused(
     log = GrowingLog(golden("real-1"))
     made = open_audit(url)
     project(log, made)
-    for module in (_sqlite, database):
-        monkeypatch.setattr(module, "VERSION", VERSION + 1)
+    monkeypatch.setattr(database, "VERSION", VERSION + 1)
     made.reset()
     monkeypatch.undo()
     with pytest.raises(LogTooNew, match="labos audit rebuild"):
         project(log, made)
-    for module in (_sqlite, database):
-        monkeypatch.setattr(module, "VERSION", VERSION + 2)
+    monkeypatch.setattr(database, "VERSION", VERSION + 2)
     assert project(log, made) == log.end
     made.close()
     assert read_everything(url) == read_everything(fresh(tmp_path, log))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from labos.cli.app import main
-from labos.services.retention import LONG_AGO_NS, NOTE, check_retention, note_retention
+from labos.services.doctor import LONG_AGO_NS, NOTE, check_retention, note_retention
 from labos.store import FolderBlobs, read_backup
 from tests.integration.deploy.test_files import DEPLOY, commands_of
 from tests.support.composition import services_of

@@ -21,7 +21,7 @@ from labos.core.words import PREFIX, Kept, keep
 from labos.errors import LogDamaged, Refused
 from labos.ports import Head
 from labos.runtime.ledger import Ledger, fold
-from labos.services.words_check import check_words
+from labos.services.verification import check_words
 from labos.store import (
     FolderBlobs,
     SqlEventStore,

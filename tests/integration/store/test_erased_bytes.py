@@ -23,7 +23,7 @@ from labos.core.runs import RunPaused
 from labos.core.words import ERASED, PREFIX, Kept, keep
 from labos.ports import Head
 from labos.services.shown import ShownLog
-from labos.services.words_check import check_words
+from labos.services.verification import check_words
 from labos.store import SqlEventStore, grant_writer, migrate
 from tests.integration.store.records import LAB, LEASE_S
 from tests.integration.store.test_roles import Roles

@@ -15,7 +15,7 @@ from labos.core.registry import encode
 from labos.core.words import PREFIX, Kept, keep
 from labos.errors import StoreError
 from labos.ports import Head, LogQuery
-from labos.services.words_check import check_words
+from labos.services.verification import check_words
 from labos.store import SqlEventStore, find_first_damage, parse_url, read_erasures
 from tests.integration.store.records import LAB, LEASE_S, batch
 

@@ -13,7 +13,7 @@ from labos.errors import NotFound
 from labos.ports import LogQuery
 from labos.services.runs import run_histories, run_history
 from labos.store import SqlEventStore, open_store
-from labos.store._select import make_selection
+from labos.store._reader import make_selection
 from tests.unit.services.logbook import Logbook
 
 
