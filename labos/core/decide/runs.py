@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import chain
 from typing import Any
 
+from labos.core.branches import sort_by_predecessors
 from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.choices import compare_plans
@@ -158,21 +159,12 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
         beyond = _check_capacity(state, step)
         if beyond:
             return beyond
-    done: set[int] = set()
-    left = dict(enumerate(plan.steps))
-    while left:
-        before = len(left)
-        for index, step in list(left.items()):
-            if done.issuperset(step.after):
-                done.add(index)
-                del left[index]
-        if len(left) == before:
-            names = ", ".join(repr(step.key) for step in left.values())
-            return Rejection(
-                "cycle", f"The steps {names} wait for each other, or for steps that are not there."
-            )
+    possible = {*sort_by_predecessors({index: step.after for index, step in enumerate(plan.steps)})}
+    if len(possible) < len(plan.steps):
+        names = ", ".join(repr(step.key) for index, step in enumerate(plan.steps) if index not in possible)
+        return Rejection("cycle", f"The steps {names} wait for each other, or for steps that are not there.")
     for step in plan.steps:
-        if any(not window.of and window.anchor not in done for window in step.windows):
+        if any(not window.of and window.anchor not in possible for window in step.windows):
             return Rejection("no_anchor", f"A window of step {step.key!r} has no step as its anchor.")
     return None
 
