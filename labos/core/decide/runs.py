@@ -17,7 +17,6 @@ from labos.core.decide.windows import (
     describe_lateness,
     find_anchors,
     find_clock,
-    list_questions,
 )
 from labos.core.effects import Consumes, list_carried, list_places
 from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId, StationName, local, workcell_of
@@ -300,5 +299,5 @@ def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event
     if choice == "fail":
         key = state.runs.plan_of(run).steps[topic.step].key
         yield from give_up(state, run, f"step {key!r} was too late and was given up")
-    elif run.paused and not list_questions(state, run.id, LateStep):
+    elif run.paused and not state.interventions.find_by_run(run.id, LateStep):
         yield RunResumed(run.id)
