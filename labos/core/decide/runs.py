@@ -171,11 +171,11 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
 def _check_capacity(state: LabState, step: PlanStep) -> Rejection | None:
     """Why a step could not start even on a full module; None if it could."""
     for effect in step.effects:
-        level = state.resources.find(step.module, effect.resource) if isinstance(effect, Consumes) else None
-        if level is None or not isinstance(effect, Consumes):
+        if not isinstance(effect, Consumes):
             continue
+        level = state.resources.find(step.module, effect.resource)
         amount = sum_needed(step.effects, effect.resource)
-        if amount > level.capacity:
+        if level is not None and amount > level.capacity:
             return Rejection(
                 "beyond_capacity",
                 f"Step {step.key!r} needs {amount:g} of {effect.resource}, but {local(step.module)} "
