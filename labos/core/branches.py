@@ -134,19 +134,20 @@ def is_inert(plan: Plan, index: int) -> bool:
 
 def sort_by_predecessors(before: Mapping[int, Iterable[int]]) -> list[int]:
     """Steps in an order in which each stands behind those ``before`` it; what may be first is in the order of
-    the plan. Those that wait for one another, and all behind them, are left out."""
-    followers: dict[int, list[int]] = {index: [] for index in before}
+    the plan. Those that wait for one another, or for a step that is not there, and all behind them, are left
+    out."""
+    followers: dict[int, list[int]] = {}
     waiting = dict.fromkeys(before, 0)
     for index, steps in before.items():
         for step in steps:
-            followers[step].append(index)
+            followers.setdefault(step, []).append(index)
             waiting[index] += 1
     ready = [index for index, count in waiting.items() if not count]
     heapq.heapify(ready)
     order: list[int] = []
     while ready:
         order.append(heapq.heappop(ready))
-        for follower in followers[order[-1]]:
+        for follower in followers.get(order[-1], ()):
             waiting[follower] -= 1
             if not waiting[follower]:
                 heapq.heappush(ready, follower)
@@ -168,17 +169,8 @@ def list_all_before(before: Callable[[int], Iterable[int]], index: int) -> set[i
 def sort_steps(plan: Plan, steps: Iterable[int]) -> Sequence[int]:
     """Some of a plan's steps in an order in which they may run one after the other. Raises ValueError
     if they wait for each other."""
-    left = list(steps)
-    inside = set(left)
-    done: set[int] = set()
-    order: list[int] = []
-    while left:
-        for index in left:
-            if all(before in done or before not in inside for before in plan.steps[index].after):
-                break
-        else:
-            raise ValueError(f"the steps of {plan.workflow!r} wait for each other")
-        left.remove(index)
-        done.add(index)
-        order.append(index)
+    inside = set(steps)
+    order = sort_by_predecessors({index: inside.intersection(plan.steps[index].after) for index in inside})
+    if len(order) < len(inside):
+        raise ValueError(f"the steps of {plan.workflow!r} wait for each other")
     return order

@@ -7,7 +7,7 @@ may have left labware.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 
@@ -24,20 +24,20 @@ def plan_closing(state: LabState, experiment: Experiment) -> Plan | None:
     """The needed steps of an experiment's closing workflow; None if it would clear nothing away."""
     plan = state.runs.plans[experiment.closing].plan
     scene = look_at(state, plan.workcell, experiment_owner(experiment.id))
-    chosen = choose(plan, scene, lambda module: any(m == module for m in scene.owner.values()))
+    chosen = choose(plan, scene)
     if not chosen:
         return None
     return plan if len(chosen) == len(main_steps(plan)) or _is_tied(plan, chosen) else narrow(plan, chosen)
 
 
-def choose(plan: Plan, scene: BenchOfRun, holds_labware: Callable[[str], bool]) -> list[int]:
+def choose(plan: Plan, scene: BenchOfRun) -> list[int]:
     """The steps that are needed from a scene; none if no labware is cleared away. The scene is changed to the
     state after these steps."""
-    found, clears = [], False
+    with_stations, found, clears = {*scene.owner.values()}, [], False
     for index in sort_steps(plan, main_steps(plan)):
         step = plan.steps[index]
         works_on = bool(list_carried(step.effects)) or any(isinstance(e, Needs) for e in step.effects)
-        if (not works_on and not holds_labware(step.module)) or is_needed(step, scene):
+        if (not works_on and step.module not in with_stations) or is_needed(step, scene):
             found.append(index)
             clears = clears or works_on
             carry_out(step, scene)

@@ -300,7 +300,7 @@ def _find_kinds(*of: type[Effect]) -> frozenset[type[Effect]]:
 
 
 _CARRYING, _MOVES = _find_kinds(Carrying), _find_kinds(Move)
-_WORKED_ON, _LIDS = _find_kinds(Move, Needs), _find_kinds(Unlid, Relid)
+_WORKED_ON = _find_kinds(Move, Needs)
 _PLACES = {
     kind: [name for name in ("source", "target", "via", "stack", "station") if name in kind.__struct_fields__]
     for kind in get_args(AnyEffect)
@@ -428,7 +428,5 @@ def _changes_labware(effect: AnyEffect) -> TypeGuard[Sets | Transfers]:
 
 def find_labware_used(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """The labware with an id that an action carries or works on."""
-    found: list[Move | Needs] = [effect for effect in effects if type(effect) in _WORKED_ON]  # type: ignore[misc]
-    names = [effect.labware for effect in found if effect.labware]
-    lids: list[Unlid | Relid] = [e for e in found if type(e) in _LIDS and e.labware]  # type: ignore[misc]
-    return names + [effect.plate for effect in lids if effect.plate]
+    names = [e.labware for e in effects if type(e) in _WORKED_ON and e.labware]  # type: ignore[union-attr]
+    return names + [e.plate for e in effects if type(e) in _MOVES and e.labware and e.plate]  # type: ignore[union-attr]

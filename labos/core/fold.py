@@ -29,7 +29,7 @@ from labos.core import (
     users,
 )
 from labos.core.actions import ActionRequested, ActionSucceeded
-from labos.core.bookings import BookingCancelled
+from labos.core.bookings import BookingCancelled, BookingEnded
 from labos.core.campaigns import CampaignCompleted
 from labos.core.experiments import ExperimentEnded
 from labos.core.interventions import InterventionResolved
@@ -119,7 +119,7 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
     ends = _STREAM_ENDS.get(kind)
     if ends is not None:
         versions.pop(getattr(event, ends), None)
-    elif kind in (InterventionResolved, BookingCancelled) or getattr(event, "over", None) is True:
+    elif kind in (InterventionResolved, BookingCancelled) or (kind is BookingEnded and event.over):  # type: ignore[attr-defined]
         del versions[stream]
     state.position, state.recorded_at = position, recorded_at
 

@@ -106,16 +106,18 @@ class Interventions(msgspec.Struct):
         """The open questions of these types, oldest first."""
         return [question for question in self.open.values() if isinstance(question.topic, topics)]
 
-    def find_about(self, subject: str) -> Intervention | None:
-        return next(iter(self.list_about(subject)), None)
+    def find_about(self, subject: str, *topics: type[Topic]) -> Intervention | None:
+        return next(iter(self.list_about(subject, *topics)), None)
 
-    def list_about(self, subject: str) -> list[Intervention]:
-        """The open questions about a subject, oldest first."""
-        return [self.open[name] for name in self.by_subject.get(subject, ())]
+    def list_about(self, subject: str, *topics: type[Topic]) -> list[Intervention]:
+        """The open questions about a subject, oldest first; only those of these types, if some are given."""
+        found = [self.open[name] for name in self.by_subject.get(subject, ())]
+        return [q for q in found if isinstance(q.topic, topics)] if topics else found
 
-    def find_by_run(self, run: str) -> list[Intervention]:
-        """The open questions that name a run, oldest first."""
-        return [self.open[name] for name in self.by_run.get(run, ())]
+    def find_by_run(self, run: str, *topics: type[Topic]) -> list[Intervention]:
+        """The same for the questions that name a run."""
+        found = [self.open[name] for name in self.by_run.get(run, ())]
+        return [q for q in found if isinstance(q.topic, topics)] if topics else found
 
 
 def fold_intervention_requested(interventions: Interventions, event: InterventionRequested, at: int) -> None:

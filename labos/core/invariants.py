@@ -22,31 +22,13 @@ from labos.core.state import LabState
 
 def find_broken(state: LabState) -> str:
     """The first broken invariant of the whole state, as a sentence; empty if there is none."""
-    bench = state.bench
-    return (
-        _check_stations(state, bench.stations)
-        or _check_labware(state, bench.labware)
-        or _check_modules(state, state.modules.by_name)
-        or _check_actions(state, state.actions.open)
-        or _check_runs(state, state.runs.active)
-        or _check_campaigns(state, state.campaigns.open)
-        or _queue(state)
-        or _check_indexes(state)
-    )
+    return _check(state, _find_all_subjects(state)) or _queue(state) or _check_indexes(state)
 
 
 def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
     """The first broken invariant among the subjects of these events. It is cheaper than ``find_broken``, and
     enough if all invariants held before."""
-    bench = state.bench
-    known: dict[str, dict[Any, Any]] = {
-        "station": bench.stations,
-        "labware": bench.labware,
-        "module": state.modules.by_name,
-        "action": state.actions.open,
-        "run": state.runs.active,
-        "campaign": state.campaigns.open,
-    }
+    known = _find_all_subjects(state)
     found: dict[str, dict[Any, Any]] = {}
     places: list[StationName] = []
     for event in events:
@@ -59,10 +41,27 @@ def find_broken_by(state: LabState, events: Iterable[Event]) -> str:
     if "labware" in found:
         places += [item.station for item in found["labware"].values()]
     for place in places:
-        if place in bench.stations:
-            found.setdefault("station", {})[place] = bench.stations[place]
+        if place in known["station"]:
+            found.setdefault("station", {})[place] = known["station"][place]
+    return _check(state, found)
+
+
+def _find_all_subjects(state: LabState) -> dict[str, dict[Any, Any]]:
+    """The subjects with invariants, by kind and name."""
+    return {
+        "station": state.bench.stations,
+        "labware": state.bench.labware,
+        "module": state.modules.by_name,
+        "action": state.actions.open,
+        "run": state.runs.active,
+        "campaign": state.campaigns.open,
+    }
+
+
+def _check(state: LabState, subjects: dict[str, dict[Any, Any]]) -> str:
+    """The first broken invariant of these subjects; empty if there is none."""
     for kind, check in _CHECKS.items():
-        if kind in found and (fault := check(state, found[kind])):
+        if kind in subjects and (fault := check(state, subjects[kind])):
             return fault
     return ""
 

@@ -125,9 +125,6 @@ class StopReported(Event, frozen=True):
     stopped: dict[ModuleName, int]
     silent: dict[ModuleName, str]
 
-    def stream(self) -> str:
-        return "lab"
-
 
 @event("location.taught")
 class LocationTaught(ModuleEvent, frozen=True):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from typing import NamedTuple
 
 from labos.core import reasons
 from labos.core.model import MAIN, PlanStep
@@ -49,23 +48,16 @@ def check_quota(state: LabState, run: RunState, now: int) -> Wait | None:
             return Wait(reasons.Quota(whose, f"{quota.running} runs at a time"), (QUOTA_KEY,))
         if not (quota.lab_hours or quota.consumables):
             continue
-        planned = _sum_in_progress(state, _list_users(state, whose, run.user), now)
-        hours = had.week.sum_lab_ns(now) * state.lab.pace / 3.6e12 + planned.hours
+        seconds, amounts = _sum_in_progress(state, _list_users(state, whose, run.user), now)
+        hours = had.week.sum_lab_ns(now) * state.lab.pace / 3.6e12 + seconds / 3600
         if quota.lab_hours and hours >= quota.lab_hours:
             what = f"{quota.lab_hours:g} lab hours a week"
             return Wait(reasons.Quota(whose, what), (QUOTA_KEY,), tomorrow)
         for kind, most in quota.consumables.items():
             needed = sum_consumption(state.runs.plan_of(run)).get(kind, 0.0)
-            if needed and had.week.count_used(kind, now) + planned.amounts.get(kind, 0.0) + needed > most:
+            if needed and had.week.count_used(kind, now) + amounts.get(kind, 0.0) + needed > most:
                 return Wait(reasons.Quota(whose, f"{most:g} {kind} a week"), (QUOTA_KEY,), tomorrow)
     return None
-
-
-class _Planned(NamedTuple):
-    """Lab hours, and consumables by kind, that started runs still need."""
-
-    hours: float
-    amounts: dict[str, float]
 
 
 def _list_users(state: LabState, whose: str, user: str) -> Collection[str]:
@@ -74,9 +66,9 @@ def _list_users(state: LabState, whose: str, user: str) -> Collection[str]:
     return (user,) if whose == user or group is None else group.members
 
 
-def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> _Planned:
-    """A step under way counts with its planned duration, or with its real duration so far if that is
-    longer."""
+def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> tuple[float, dict[str, float]]:
+    """The lab seconds, and the consumables by kind, that started runs still need. A step under way counts
+    with its planned duration, or with its real duration so far if that is longer."""
     seconds, amounts = 0.0, dict[str, float]()
     lasted = {
         (action.run, action.step): (now - action.requested_at) * state.lab.pace / 1e9
@@ -92,7 +84,7 @@ def _sum_in_progress(state: LabState, users: Collection[str], now: int) -> _Plan
         for index, _, kind, amount in list_used_up(steps):
             if index in left:
                 amounts[kind] = amounts.get(kind, 0.0) + amount
-    return _Planned(seconds / 3600, amounts)
+    return seconds, amounts
 
 
 def _is_to_come(run: RunState, index: int, step: PlanStep) -> bool:

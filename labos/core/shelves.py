@@ -6,7 +6,7 @@ lowest free one.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import msgspec
@@ -47,17 +47,19 @@ def on_shelves(bench: Bench, effect: AnyEffect, but: Collection[StationName]) ->
         labware = bench.labware[name]
         return bench.labware[labware.on].station if labware.on else labware.station
 
-    where: dict[str, Callable[[], StationName]] = {}
+    standing: dict[str, LabwareId] = {}
     match effect:
         case Unlid():
-            where = {"source": lambda: stands(effect.plate)}
+            standing = {"source": effect.plate}
         case Relid():
-            where = {"source": lambda: stands(effect.labware), "target": lambda: stands(effect.plate)}
+            standing = {"source": effect.labware, "target": effect.plate}
         case Move():
-            where = {"source": lambda: stands(effect.labware)}
+            standing = {"source": effect.labware}
         case Needs() if effect.labware:
-            where = {"station": lambda: stands(effect.labware)}
-    changes = {field: find() for field, find in where.items() if getattr(effect, field) in bench.shelves}
+            standing = {"station": effect.labware}
+    changes = {
+        field: stands(name) for field, name in standing.items() if getattr(effect, field) in bench.shelves
+    }
     for field in ("target", "station"):
         place = getattr(effect, field, NOWHERE)
         if place in effect.room and place in bench.shelves:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from labos.core.decide.batches import SubmitRuns
+from labos.core.decide.composites import SubmitRuns
 from labos.core.decide.stock import LoadStation
 from labos.core.ids import RunId
 from labos.core.runs import RunSubmitted

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from labos.core.decide.batches import MOST_RUNS
+from labos.core.decide.composites import MOST_RUNS
 from labos.core.signatures import Meaning
 from labos.core.suggestions import MOST_STEPS
 from labos.core.viewer import Visibility

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import structlog
 
-from labos.core.decide.doubts import DoubtNode, OutrankNode
+from labos.core.decide.nodes import DoubtNode, OutrankNode
 from labos.core.ids import ModuleName
 from labos.core.texts import LONGEST_NAME, cut
 from labos.errors import LabosError, StoreError

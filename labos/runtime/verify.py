@@ -15,8 +15,9 @@ import structlog
 from labos.core.actions import Action, ActionReported, ActionStatus
 from labos.core.decide import Rejection
 from labos.core.decide.observation import ObserveStation
-from labos.core.decide.verification import Seen, VerifyAction, is_disturbed
+from labos.core.decide.verification import VerifyAction, is_disturbed
 from labos.core.ids import ActionId, ModuleName, StationName, local
+from labos.core.labware import StationObserved
 from labos.core.texts import cut
 from labos.errors import BusError, LabosError
 from labos.runtime.ledger import Entry
@@ -68,7 +69,7 @@ class Verifier(ObservingPart[ActionId]):
         except LabosError as error:
             _log.info("look_given_up", action=name, why=str(error))  # observed again when the log is open
 
-    async def _list_observations(self, action: Action) -> tuple[tuple[Seen, ...], str]:
+    async def _list_observations(self, action: Action) -> tuple[tuple[StationObserved, ...], str]:
         """The observations at the places where an action should have had its effect; and why not every place
         was observed."""
         state = self._kernel.state
@@ -77,7 +78,7 @@ class Verifier(ObservingPart[ActionId]):
             station = state.bench.stations.get(place)
             if station is not None and station.spec.watched:
                 by_observer.setdefault(station.spec.observer, []).append(place)
-        observed: list[Seen] = []
+        observed: list[StationObserved] = []
         unseen: list[str] = [] if by_observer else ["no observer is available there"]
         for observer, places in by_observer.items():
             why = self._observer.explain_cannot_ask(observer)
@@ -89,13 +90,13 @@ class Verifier(ObservingPart[ActionId]):
             for place in places:
                 contents = read_contents(self._kernel.state, sights.get(place))
                 if contents is not None:
-                    observed.append(Seen(place, local(observer), *contents))
+                    observed.append(StationObserved(place, local(observer), *contents))
                 else:
                     what = why or "without a reason"
                     unseen.append(f"{local(observer)} does not see what stands at {local(place)}: {what}")
         return tuple(observed), cut("; ".join(unseen))
 
-    def _report_observation(self, action: Action, observed: tuple[Seen, ...], unseen: str) -> None:
+    def _report_observation(self, action: Action, observed: tuple[StationObserved, ...], unseen: str) -> None:
         self.observed += 1
         self._submit(VerifyAction(action.id, observed, unseen), action)
         for sight in observed:

@@ -12,7 +12,6 @@ from typing import Literal
 
 from labos.core.decide import Command
 from labos.core.decide.access import EndAccess, RequestAccess
-from labos.core.decide.batches import SubmitRuns
 from labos.core.decide.bookings import CancelBooking, ChangeBooking, MakeBooking
 from labos.core.decide.calibrations import CalibrateModule
 from labos.core.decide.campaigns import (
@@ -24,7 +23,7 @@ from labos.core.decide.campaigns import (
     SubmitCampaign,
 )
 from labos.core.decide.cancelling import CancelRun
-from labos.core.decide.composites import DeclareStations, ReportRound, SubmitWithLabware
+from labos.core.decide.composites import DeclareStations, ReportRound, SubmitRuns, SubmitWithLabware
 from labos.core.decide.control import CancelExperiment, CancelRuns, PauseStarts, ResumeStarts
 from labos.core.decide.erasure import EraseWords, RefuseErasure
 from labos.core.decide.experiments import EndExperiment, NoteExperiment, ResumeExperiment, StartExperiment

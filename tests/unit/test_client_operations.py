@@ -15,7 +15,7 @@ import pytest
 
 import labos.client
 from labos.client import AsyncExperiment, AsyncLabClient, Experiment, LabClient, _batches, _runs
-from labos.core.decide.batches import MOST_RUNS
+from labos.core.decide.composites import MOST_RUNS
 from labos.core.runs import RUN_ENDS
 from labos.http.limits import MOST_FILES
 from labos.http.routes import OPERATIONS

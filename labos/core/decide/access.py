@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from itertools import chain
 
 import msgspec
@@ -108,12 +108,8 @@ def request_access(state: LabState, command: RequestAccess) -> Decision:
     parking = [run for run in command.parking if not isinstance(submit_run(state, run), Rejection)]
     plans = tuple(dict.fromkeys(plan_digest(run.plan) for run in parking))
     requested = AccessRequested(cell, command.by, command.why, plans)
-    return chain([requested], _submit_all(state, parking))
-
-
-def _submit_all(state: LabState, runs: Iterable[SubmitRun]) -> Iterator[Event]:
-    for run in runs:
-        yield from list_possible(submit_run(state, run))
+    submitted = (event for run in parking for event in list_possible(submit_run(state, run)))
+    return chain([requested], submitted)
 
 
 @decides(GrantAccess)

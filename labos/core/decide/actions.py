@@ -155,7 +155,7 @@ def request_action(
     if isinstance(given, str):
         return _fail_start(state, run, step, given)
     args, files = given
-    effects = _name_new_labware(state, _fill_in_wells(plan, results, found)) if found else ()
+    effects = _complete_effects(state, plan, results, found)
     if fault := _find_liquid_fault(state, effects):
         return _fail_start(state, run, step, fault)
     args = expand_hotels(step.effects, effects, _fill_in_from_labware(state, args, effects))
@@ -246,16 +246,21 @@ def _add_labware_types(
     return new_args
 
 
-def _fill_in_wells(
-    plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]
+def _complete_effects(
+    state: LabState, plan: Plan, results: dict[int, Any], effects: tuple[AnyEffect, ...]
 ) -> tuple[AnyEffect, ...]:
-    """Replace references to results by the lists of wells and volumes from an earlier step."""
+    """Replace references to results by the lists of wells and volumes from an earlier step, and give ids to
+    labware that is taken from a stack."""
+    named = state.bench.named
     out: list[AnyEffect] = []
     for effect in effects:
         if isinstance(effect, Transfers | Draws):
             lists = {"wells": effect.wells, "volumes_ul": effect.volumes_ul}
             known = fill_inputs(plan, results, lists)
             effect = effect if isinstance(known, str) else msgspec.structs.replace(effect, **known)
+        elif isinstance(effect, Take):
+            named += 1
+            effect = msgspec.structs.replace(effect, labware=LabwareId(f"P{named}"))
         out.append(effect)
     return tuple(out)
 
@@ -270,17 +275,6 @@ def _find_liquid_fault(state: LabState, effects: tuple[AnyEffect, ...]) -> str:
     item = state.bench.labware[fed]
     known = state.lab.labware.get(workcell_of(item.station), {}) if item.station else {}
     return find_misfit(effects, known.get(item.type), item.volumes_ul, str(item.id))
-
-
-def _name_new_labware(state: LabState, effects: tuple[AnyEffect, ...]) -> tuple[AnyEffect, ...]:
-    named = state.bench.named
-    out: list[AnyEffect] = []
-    for effect in effects:
-        if isinstance(effect, Take):
-            named += 1
-            effect = msgspec.structs.replace(effect, labware=LabwareId(f"P{named}"))
-        out.append(effect)
-    return tuple(out)
 
 
 @decides_about(AcceptAction, find_attempt)

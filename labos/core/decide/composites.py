@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 
+import msgspec
+
 from labos.core.decide._base import (
     Command,
     Decider,
@@ -20,7 +22,7 @@ from labos.core.decide._base import (
 )
 from labos.core.decide.interventions import ResolveIntervention, resolve_intervention
 from labos.core.decide.lab import DeclareStation, declare_station
-from labos.core.decide.runs import SubmitRun, submit_run
+from labos.core.decide.runs import QUOTA, QUOTA_REMEDY, SubmitRun, submit_run
 from labos.core.decide.shorter import (
     ConfirmStations,
     SayContents,
@@ -29,11 +31,15 @@ from labos.core.decide.shorter import (
     say_contents,
 )
 from labos.core.decide.stock import LoadStation, load_station
-from labos.core.ids import StationName, local
+from labos.core.ids import ExperimentId, StationName, local
 from labos.core.labware import LabwarePlaced, StationLoaded
+from labos.core.quotas import explain_full_queue
 from labos.core.registry import Event
 from labos.core.state import LabState
 from labos.core.topics import ShorterLog
+
+MOST_RUNS = 50
+"""The most runs of one command: all are decided in one turn of the kernel."""
 
 
 class SubmitWithLabware(Command, frozen=True):
@@ -44,6 +50,18 @@ class SubmitWithLabware(Command, frozen=True):
 
     def list_parts(self) -> Sequence[Command]:
         return (self.run, *self.loads)
+
+
+class SubmitRuns(Command, frozen=True):
+    """Queue several runs, in order, and declare the labware that was put on the bench for them. A rejection
+    names the run by the number of its payload; ``first`` is the number of payloads that were sent before."""
+
+    runs: tuple[SubmitRun, ...]
+    loads: tuple[LoadStation, ...] = ()
+    first: int = 0
+
+    def list_parts(self) -> Sequence[Command]:
+        return (*self.runs, *self.loads)
 
 
 class DeclareStations(Command, frozen=True):
@@ -78,6 +96,59 @@ def submit_with_labware(state: LabState, command: SubmitWithLabware) -> Decision
         return loads
     fit = check_recordable(submit_run(state, command.run))
     return fit if isinstance(fit, Rejection) else chain(loads, fit)
+
+
+@decides(SubmitRuns)
+def submit_runs(state: LabState, command: SubmitRuns) -> Decision:
+    new = list_new(state, command)
+    if not new:
+        return []
+    if len(command.runs) > MOST_RUNS:
+        return Rejection(
+            "too_many", f"{len(command.runs)} runs in one request are too many; {MOST_RUNS} are allowed."
+        )
+    loads = load_stations(state, command.loads)
+    if isinstance(loads, Rejection):
+        return loads
+    keys: dict[str, int] = {}
+    ahead: dict[str, int] = {}
+    for number, run in new.items():
+        if run.request and keys.setdefault(run.request, number) != number:
+            other = name_payload(command, keys[run.request])
+            why = f"Its key {run.request!r} is also the key of {other}."
+            return name_run(command, number, Rejection("twice", why, "Give each run its own key."))
+        fit = check_recordable(submit_run(state, run))
+        if isinstance(fit, Rejection):
+            return name_run(command, number, fit)
+        user = _find_user(state, run)
+        full = explain_full_queue(state, user, ahead.get(user, 0))
+        if full:
+            return name_run(command, number, Rejection(QUOTA, full, QUOTA_REMEDY))
+        ahead[user] = ahead.get(user, 0) + 1
+    return chain(loads, carry_out_all(state, new.values(), submit_run))
+
+
+def list_new(state: LabState, command: SubmitRuns) -> dict[int, SubmitRun]:
+    """The runs that are new to the log, by their numbers in the command."""
+    known = state.runs.requests
+    return {
+        number: run for number, run in enumerate(command.runs) if not run.request or run.request not in known
+    }
+
+
+def name_payload(command: SubmitRuns, number: int) -> str:
+    return f"payloads[{command.first + number}]"
+
+
+def name_run(command: SubmitRuns, number: int, why: Rejection) -> Rejection:
+    """The rejection of one run, as the rejection of the whole command."""
+    message = f"{name_payload(command, number)}: {why.message} None of the runs was submitted."
+    return msgspec.structs.replace(why, message=message)
+
+
+def _find_user(state: LabState, run: SubmitRun) -> str:
+    experiment = state.experiments.open.get(ExperimentId(run.experiment))
+    return experiment.user if experiment is not None else run.user
 
 
 def load_stations(state: LabState, loads: Sequence[LoadStation]) -> Iterator[Event] | Rejection:

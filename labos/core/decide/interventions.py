@@ -10,12 +10,11 @@ from labos.core.actions import Action
 from labos.core.bench import Labware, remove_labware
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.actions import FinishAction, finish
-from labos.core.decide.approvals import answer_approval
 from labos.core.decide.barcodes import settle_barcode
 from labos.core.decide.experiments import EndExperiment, end_experiment, end_without_closing
 from labos.core.decide.observation import settle_sight
 from labos.core.decide.outcomes import LARGEST_RESULT, is_read_later, limit_result, settle, settle_found
-from labos.core.decide.proposals import answer_question
+from labos.core.decide.proposals import answer_approval, answer_question
 from labos.core.decide.runs import answer_late
 from labos.core.decide.shorter import finish_round
 from labos.core.decide.steps import answer_failed

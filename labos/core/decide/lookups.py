@@ -93,13 +93,17 @@ def find_attempt(state: LabState, command: Any) -> Action | None:
     return None if found is None or found.attempt != command.attempt else found
 
 
+def find_living_owner(state: LabState, owner: Owner) -> RunState | Experiment | None:
+    """The run or experiment that owns labware, if it has not ended."""
+    kind, name = split_key(owner)
+    if kind == "run":
+        return state.runs.get(name)
+    return state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
+
+
 def find_owner(state: LabState, owner: Owner) -> str:
     """The user who owns labware with this owner: the user of a run or of an experiment that has not ended;
     empty if it is shared or has no owner."""
     kind, name = split_key(owner)
-    if kind == "user":
-        return name
-    run = state.runs.get(name) if kind == "run" else None
-    experiment = state.experiments.open.get(ExperimentId(name)) if kind == "experiment" else None
-    found = run or experiment
-    return found.user if found is not None else ""
+    found = find_living_owner(state, owner)
+    return name if kind == "user" else found.user if found is not None else ""

@@ -27,6 +27,7 @@ from labos.core.registry import Event
 from labos.core.rules import may_still_act
 from labos.core.state import LabState
 from labos.core.topics import (
+    Contradiction,
     LabwareInDoubt,
     LeftLabware,
     LostLabware,
@@ -291,16 +292,10 @@ def _settle_take(state: LabState, action: Action, place: StationName, by: str) -
 
 def _withdraw_strange(state: LabState, place: StationName) -> list[Event]:
     """The unexpected labware has left the place: withdraw the question about it."""
-    question = _find_question(state, place)
+    question = state.interventions.find_about(place, Contradiction)
     if question is None or question.labware:
         return []
     return [question.withdraw("observed to be no longer there")]
-
-
-def _find_question(state: LabState, place: StationName) -> Intervention | None:
-    """The question about an observation of a station."""
-    asked = state.interventions.open_about(NotSeen, SeenElsewhere, Unexpected)
-    return next((question for question in asked if question.subject == place), None)
 
 
 def _doubt_recorded(
@@ -359,7 +354,7 @@ def _report_unexpected(state: LabState, station: StationState, command: ObserveS
     """Labware stands at a place that is empty in the log. Until this is settled, no other labware is put
     there."""
     place = station.spec.name
-    if _find_question(state, place) is not None:
+    if state.interventions.find_about(place, Contradiction) is not None:
         return []
     kind = command.kind or (station.spec.accepts[0] if len(station.spec.accepts) == 1 else "")
     named = "" if station.spec.kind == "gripper" else kind

@@ -172,10 +172,8 @@ def list_effect_events(
                 yield SetpointClaimed(action.module, effect.setpoint, value, action.run)
             case Releases() if done == "all":
                 yield SetpointReleased(action.module, effect.setpoint, action.run)
-            case Transfers() if effect.labware:
-                yield from _list_transfer_events(state, action, effect, certain=done == "all")
-            case Draws() if effect.labware:
-                yield from _draw(state, action, effect, certain=done == "all")
+            case Transfers() | Draws() if effect.labware:
+                yield from _list_liquid_events(state, action, effect, certain=done == "all")
             case Consumes():
                 # The amount that a failed action has used is not known. The safe assumption is all of it.
                 yield from record_usage(state, action, effect)
@@ -209,36 +207,26 @@ def _replace_pack(state: LabState, effect: Replaces) -> list[Event]:
     return [ResourceReplenished(module, effect.resource, *put_in, instead=True)]
 
 
-def _list_transfer_events(
-    state: LabState, action: Action, effect: Transfers, *, certain: bool
+def _list_liquid_events(
+    state: LabState, action: Action, effect: Transfers | Draws, *, certain: bool
 ) -> list[Event]:
-    """The liquid that a pipette put into wells; nothing if the effect has no lists of wells and volumes."""
-    pairs = _find_doses(state, effect)
-    if not pairs:
-        return []
-    amount = sum(volume for _, volume in pairs)
-    parts = list_charges(state.resources, action.module, effect.resource, amount) if effect.resource else []
-    names, amounts = zip(*pairs, strict=True)
-    lots = tuple(lot for lot, _ in parts if lot)
-    about = (effect.labware, action.run, action.module, effect.liquid)
-    return [LiquidTransferred(*about, names, amounts, lots, certain, action.id)]
-
-
-def _draw(state: LabState, action: Action, effect: Draws, *, certain: bool) -> list[Event]:
-    """The liquid that a pipette drew from wells; nothing if the effect has no lists of wells and volumes."""
-    pairs = _find_doses(state, effect)
-    if not pairs:
-        return []
-    names, amounts = zip(*pairs, strict=True)
-    return [LiquidDrawn(effect.labware, action.run, action.module, names, amounts, certain, action.id)]
-
-
-def _find_doses(state: LabState, effect: Transfers | Draws) -> list[tuple[str, float]]:
+    """The liquid that a pipette put into wells or drew from them; nothing if the effect has no lists of wells
+    and volumes."""
     try:
-        doses = list_doses(effect)
+        doses = [(well, volume) for well, volume in list_doses(effect) if volume]
     except ValueError:
         return []  # such a request is refused before it is sent; an older LabOS did not check this
-    return [(w, volume) for w, volume in doses if volume] if effect.labware in state.bench.labware else []
+    if not doses or effect.labware not in state.bench.labware:
+        return []
+    names, amounts = zip(*doses, strict=True)
+    about = (effect.labware, action.run, action.module)
+    if isinstance(effect, Draws):
+        return [LiquidDrawn(*about, names, amounts, certain, action.id)]
+    charges = []
+    if effect.resource:
+        charges = list_charges(state.resources, action.module, effect.resource, sum(amounts))
+    lots = tuple(lot for lot, _ in charges if lot)
+    return [LiquidTransferred(*about, effect.liquid, names, amounts, lots, certain, action.id)]
 
 
 def find_carried_off(state: LabState, action: Action) -> dict[LabwareId, StationName]:

@@ -1,4 +1,5 @@
-"""The answer to a proposal that waits for an operator's approval, and the events that follow."""
+"""Approvals: a proposal waits for an operator, and a run with dangerous steps for a second person. The
+answers, and the events that follow."""
 
 from __future__ import annotations
 
@@ -11,20 +12,25 @@ from labos.core.decide._base import Command, Decision, Rejection, list_possible
 from labos.core.decide.campaigns import CancelCampaign, cancel_campaign, check_terms
 from labos.core.decide.cancelling import CancelRun, cancel_run
 from labos.core.decide.control import CancelExperiment, cancel_experiment
+from labos.core.decide.endings import record_end
 from labos.core.decide.lookups import decides_about
 from labos.core.experiments import ExperimentCancelled, ExperimentClosing, ExperimentEnded
-from labos.core.ids import CampaignId, ExperimentId, RunId
-from labos.core.interventions import Intervention, InterventionResolved
+from labos.core.ids import CampaignId, ExperimentId, RunId, local
+from labos.core.interventions import InterventionResolved
 from labos.core.open_experiments import Experiment
 from labos.core.registry import Event
+from labos.core.runs import RunCancelled, RunSubmitted
 from labos.core.state import LabState
 from labos.core.structs import make_from
-from labos.core.topics import Approval
+from labos.core.topics import Approval, SecondPerson, name_some
 from labos.core.users import ON_BEHALF, find_person
 from labos.core.words import Words
 
 SHORTEST_DIGEST = 12
 """So many characters of a digest identify the content that the operator has seen."""
+
+MOST_NAMED = 5
+"""The question names at most this number of dangerous steps."""
 
 
 class ApproveProposal(Command, frozen=True):
@@ -199,15 +205,31 @@ def _check_experiment(state: LabState, proposal: Proposal) -> Rejection | None:
 # -- the question --------------------------------------------------------------------------------
 
 
-def _list_questions(state: LabState, subject: str) -> list[Intervention]:
-    return [q for q in state.interventions.list_about(subject) if isinstance(q.topic, Approval)]
-
-
 def _resolve_question(
     state: LabState, subject: str, choice: str, by: str, note: str
 ) -> Iterable[InterventionResolved]:
     """The question about a proposal is resolved together with it."""
-    return [InterventionResolved(q.id, choice, by, note) for q in _list_questions(state, subject)]
+    questions = state.interventions.list_about(subject, Approval)
+    return [InterventionResolved(question.id, choice, by, note) for question in questions]
+
+
+def answer_approval(state: LabState, topic: SecondPerson, choice: str, by: str) -> Decision:
+    """A second person approves a run's dangerous steps, or refuses."""
+    run = state.runs.queued.get(RunId(topic.run))
+    if run is None:
+        return []
+    if choice != "approve":
+        return record_end(state, run, RunCancelled(run.id, f"{by} did not approve it"), "was not approved")
+    user = state.users.known.get(by)
+    if find_person(by) == run.user:
+        return Rejection(
+            "second_person",
+            f"{run.id} is a run of {run.user} and needs the approval of a second person.",
+            "Ask another operator.",
+        )
+    if ON_BEHALF in by or (user is not None and user.kind == "service"):
+        return Rejection("second_person", f"{by} is not a person.", "Ask an operator to check it.")
+    return [RunApproved(run.id, by)]
 
 
 # -- reactions -----------------------------------------------------------------------------------
@@ -215,7 +237,7 @@ def _resolve_question(
 
 def ask_for_approval(state: LabState, event: ApprovalRequested) -> Iterator[Event]:
     """An operator is asked, and an earlier question about the same subject is withdrawn."""
-    for question in _list_questions(state, event.subject):
+    for question in state.interventions.list_about(event.subject, Approval):
         yield question.withdraw("it was changed, and the question is asked again")
     what = {"amendment": "The change of campaign"}.get(event.kind, event.kind.capitalize())
     why = "; ".join(why.text for why in event.why)
@@ -240,5 +262,22 @@ def withdraw_approval_question(
 ) -> Iterator[Event]:
     """The question about an approval is withdrawn when its subject has ended."""
     subject = event.campaign if hasattr(event, "campaign") else event.experiment
-    for question in _list_questions(state, subject):
+    for question in state.interventions.list_about(subject, Approval):
         yield question.withdraw("it has ended")
+
+
+def ask_second_person(state: LabState, event: RunSubmitted | ApprovalGiven) -> Iterator[Event]:
+    """A run with dangerous steps on modules that require a second person waits for an approval, unless it
+    already waits for one."""
+    name = event.run if isinstance(event, RunSubmitted) else RunId(event.subject)
+    run = state.runs.queued.get(name)
+    if run is None or not run.unapproved or run.held:
+        return
+    plans = (state.runs.plans[name] for name in run.choices or (run.plan,))
+    steps = next([known.plan.steps[index] for index in known.dangers] for known in plans if known.dangers)
+    named = [f"{step.key!r} on {local(step.module)} ({step.dangerous})" for step in steps]
+    text = (
+        f"Run {run.id} ({run.workflow}) of {run.user} has dangerous steps: {name_some(named, MOST_NAMED)}. "
+        "It needs the approval of a second person."
+    )
+    yield state.interventions.ask(SecondPerson(run=run.id, module=steps[0].module), text)

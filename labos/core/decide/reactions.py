@@ -35,7 +35,6 @@ from labos.core.campaigns import (
     CampaignRowRefused,
     CampaignStopped,
 )
-from labos.core.decide.approvals import ask_second_person
 from labos.core.decide.bookings import (
     ask_about_overrun,
     ask_to_clear_booking,
@@ -45,7 +44,7 @@ from labos.core.decide.bookings import (
 from labos.core.decide.campaigns import conclude_campaigns, pause_campaigns
 from labos.core.decide.endings import end_recovery, end_run, skip_steps
 from labos.core.decide.experiments import end_experiments, withdraw_experiment_question
-from labos.core.decide.proposals import ask_for_approval, withdraw_approval_question
+from labos.core.decide.proposals import ask_for_approval, ask_second_person, withdraw_approval_question
 from labos.core.decide.steps import check_result, fail_spoilt, handle_failure, retry_step
 from labos.core.decide.waiting import withdraw_action_questions, withdraw_waiting
 from labos.core.decide.windows import withdraw_late_questions, withdraw_run_questions

@@ -14,7 +14,6 @@ import msgspec
 from labos.core.decide import (
     access,
     actions,
-    batches,
     bookings,
     calibrations,
     campaigns,
@@ -22,7 +21,6 @@ from labos.core.decide import (
     choices,
     composites,
     control,
-    doubts,
     erasure,
     experiments,
     handover,
@@ -205,7 +203,7 @@ _OPERATOR = "an operator"
 _ADMIN = "an admin of the whole lab"
 _SIGNING = Right("viewer", "a person, as themselves, with their password", targets.TO_SIGN, "by")
 
-_INNER = (actions, choices, doubts, steps, together, verification, work)
+_INNER = (actions, choices, steps, together, verification, work)
 """These modules have only commands that LabOS itself sends."""
 
 RIGHTS: dict[type[Command], Right] = {
@@ -217,7 +215,7 @@ RIGHTS: dict[type[Command], Right] = {
         "user",
     ),
     composites.SubmitWithLabware: Right("submitter", "as for the run; for labware, an operator"),
-    batches.SubmitRuns: Right("submitter", "as for each of the runs; for labware, an operator"),
+    composites.SubmitRuns: Right("submitter", "as for each of the runs; for labware, an operator"),
     runs.PauseRun: Right("submitter", _OWN, targets.find_run_target),
     runs.ResumeRun: Right("submitter", _OWN, targets.find_run_target),
     cancelling.CancelRun: Right("submitter", _OWN, targets.find_run_target),

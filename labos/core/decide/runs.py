@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import chain
 from typing import Any
 
+from labos.core.branches import sort_by_predecessors
 from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, InnerCommand, Rejection, decides
 from labos.core.decide.choices import compare_plans
@@ -16,7 +17,6 @@ from labos.core.decide.windows import (
     describe_lateness,
     find_anchors,
     find_clock,
-    list_questions,
 )
 from labos.core.effects import Consumes, list_carried, list_places
 from labos.core.ids import CampaignId, ExperimentId, ModuleName, RunId, StationName, local, workcell_of
@@ -158,21 +158,12 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
         beyond = _check_capacity(state, step)
         if beyond:
             return beyond
-    done: set[int] = set()
-    left = dict(enumerate(plan.steps))
-    while left:
-        before = len(left)
-        for index, step in list(left.items()):
-            if done.issuperset(step.after):
-                done.add(index)
-                del left[index]
-        if len(left) == before:
-            names = ", ".join(repr(step.key) for step in left.values())
-            return Rejection(
-                "cycle", f"The steps {names} wait for each other, or for steps that are not there."
-            )
+    possible = {*sort_by_predecessors({index: step.after for index, step in enumerate(plan.steps)})}
+    if len(possible) < len(plan.steps):
+        names = ", ".join(repr(step.key) for index, step in enumerate(plan.steps) if index not in possible)
+        return Rejection("cycle", f"The steps {names} wait for each other, or for steps that are not there.")
     for step in plan.steps:
-        if any(not window.of and window.anchor not in done for window in step.windows):
+        if any(not window.of and window.anchor not in possible for window in step.windows):
             return Rejection("no_anchor", f"A window of step {step.key!r} has no step as its anchor.")
     return None
 
@@ -180,11 +171,11 @@ def find_plan_flaw(state: LabState, plan: Plan) -> Rejection | None:
 def _check_capacity(state: LabState, step: PlanStep) -> Rejection | None:
     """Why a step could not start even on a full module; None if it could."""
     for effect in step.effects:
-        level = state.resources.find(step.module, effect.resource) if isinstance(effect, Consumes) else None
-        if level is None or not isinstance(effect, Consumes):
+        if not isinstance(effect, Consumes):
             continue
+        level = state.resources.find(step.module, effect.resource)
         amount = sum_needed(step.effects, effect.resource)
-        if amount > level.capacity:
+        if level is not None and amount > level.capacity:
             return Rejection(
                 "beyond_capacity",
                 f"Step {step.key!r} needs {amount:g} of {effect.resource}, but {local(step.module)} "
@@ -308,5 +299,5 @@ def answer_late(state: LabState, topic: LateStep, choice: str) -> Iterator[Event
     if choice == "fail":
         key = state.runs.plan_of(run).steps[topic.step].key
         yield from give_up(state, run, f"step {key!r} was too late and was given up")
-    elif run.paused and not list_questions(state, run.id, LateStep):
+    elif run.paused and not state.interventions.find_by_run(run.id, LateStep):
         yield RunResumed(run.id)

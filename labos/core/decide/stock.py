@@ -8,19 +8,16 @@ from itertools import chain, islice
 from labos.core.bench import StationState, add_arrival, count_taking, split_item
 from labos.core.decide._base import Command, Decision, Rejection, decides
 from labos.core.decide.by_hand import withdraw_answered
-from labos.core.decide.lookups import decides_about, expect_station
+from labos.core.decide.lookups import decides_about, expect_station, find_living_owner
 from labos.core.effects import list_carried
 from labos.core.expiry import DATE, find_first_expired
 from labos.core.ids import (
     SHARED,
-    ExperimentId,
     LabwareId,
     ModuleName,
-    Owner,
     RunId,
     StationName,
     local,
-    split_key,
     split_level_key,
 )
 from labos.core.labware import (
@@ -240,11 +237,11 @@ def unload_station(state: LabState, command: UnloadStation) -> Decision:
     for item in named:
         if state.bench.labware[item].moving:
             return Rejection("in_motion", f"{item} is in motion at {name}.", "Wait until it has stopped.")
-        needed_by = _find_owner_alive(state, state.bench.labware[item].owner)
-        if needed_by:
+        owner = state.bench.labware[item].owner
+        if find_living_owner(state, owner) is not None:
             return Rejection(
                 "in_use",
-                f"{item} at {name} belongs to {needed_by}, which has not ended.",
+                f"{item} at {name} belongs to {owner.replace(':', ' ')}, which has not ended.",
                 "Wait for its end, or cancel it first.",
             )
     why = f"unloaded ({command.by})"
@@ -274,13 +271,3 @@ def _lacks(step: PlanStep, level: Level, module: ModuleName, resource: str, toda
         return False
     amount = sum_needed(step.effects, resource)
     return amount > level.level or find_first_expired(level, amount, today) is not None
-
-
-def _find_owner_alive(state: LabState, owner: Owner) -> str:
-    """The run or experiment that owns labware, if it has not ended; otherwise empty."""
-    kind, name = split_key(owner)
-    if kind == "run" and state.runs.get(RunId(name)) is not None:
-        return f"run {name}"
-    if kind == "experiment" and ExperimentId(name) in state.experiments.open:
-        return f"experiment {name}"
-    return ""

@@ -17,7 +17,6 @@ from labos.core.approvals import ApprovalRequested, Demand, Kind, Why
 from labos.core.campaigns import Campaign, Terms
 from labos.core.canonical import digest, encode_canonical
 from labos.core.decide._base import Command, Decision, Rejection, check_recordable, decides
-from labos.core.decide.batches import SubmitRuns, list_new, name_run
 from labos.core.decide.campaigns import (
     AmendCampaign,
     RefuseRow,
@@ -27,7 +26,7 @@ from labos.core.decide.campaigns import (
     refuse_row,
     submit_row,
 )
-from labos.core.decide.composites import SubmitWithLabware
+from labos.core.decide.composites import SubmitRuns, SubmitWithLabware, list_new, name_run
 from labos.core.decide.experiments import StartExperiment
 from labos.core.decide.policy import (
     Submission,

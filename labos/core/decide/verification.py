@@ -21,7 +21,7 @@ from labos.core.decide.lookups import decides_about, find_action
 from labos.core.decide.outcomes import list_effect_events, mark_uncertain
 from labos.core.decide.steps import doubt
 from labos.core.effects import Carrying, list_carried, list_moved
-from labos.core.ids import ActionId, LabwareId, StationName, local, workcell_of
+from labos.core.ids import ActionId, StationName, local, workcell_of
 from labos.core.labware import GONE, LabwareUncertain, StationObserved
 from labos.core.registry import Event
 from labos.core.runs import RunStatus
@@ -31,15 +31,8 @@ from labos.core.watching import list_end_stations
 
 Verdict = Literal["done", "not_done", "lost", "unclear"]
 
-
-class Seen(msgspec.Struct, frozen=True):
-    """An observation of ``by`` at a station: a number of pieces (null: at least one), or recognised
-    labware."""
-
-    station: StationName
-    by: str
-    count: int | None = None
-    labware: LabwareId = LabwareId("")
+Sights = dict[StationName, StationObserved]
+"""What observers saw, by station."""
 
 
 class VerifyAction(Report, frozen=True):
@@ -47,7 +40,7 @@ class VerifyAction(Report, frozen=True):
     some station could not be observed."""
 
     action: ActionId
-    seen: tuple[Seen, ...] = ()
+    seen: tuple[StationObserved, ...] = ()
     unseen: str = ""
 
 
@@ -56,9 +49,7 @@ def verify_action(state: LabState, command: VerifyAction, action: Action) -> Dec
     if action.status != ActionStatus.REPORTED or is_disturbed(state, action):
         return []
     sights = {seen.station: seen for seen in command.seen if seen.station in action.looks}
-    events: list[Event] = [
-        StationObserved(seen.station, seen.by, seen.count, seen.labware) for seen in sights.values()
-    ]
+    events: list[Event] = [*sights.values()]
     verdicts = [
         _judge_motion(state, action, effect, sights)
         for effect in list_carried(action.effects)
@@ -88,9 +79,7 @@ def is_disturbed(state: LabState, action: Action) -> bool:
     )
 
 
-def _judge_motion(
-    state: LabState, action: Action, effect: Carrying, sights: dict[StationName, Seen]
-) -> Verdict:
+def _judge_motion(state: LabState, action: Action, effect: Carrying, sights: Sights) -> Verdict:
     """The verdict on one motion. A station that did not have to be observed does not count against it."""
     source, target = effect.emptied, effect.filled
     there = _was_seen_at(state, action, effect, target, sights)
@@ -106,7 +95,7 @@ def _judge_motion(
 
 
 def _was_seen_at(
-    state: LabState, action: Action, effect: Carrying, place: StationName, sights: dict[StationName, Seen]
+    state: LabState, action: Action, effect: Carrying, place: StationName, sights: Sights
 ) -> bool | None:
     """Whether the labware of a motion was seen at a place; None if that cannot be decided."""
     seen, station = sights.get(place), state.bench.stations.get(place)
@@ -145,9 +134,7 @@ def _count_others(
     return max(least, 0), max(most, 0)
 
 
-def _refute(
-    state: LabState, action: Action, done: EffectsDone, why: str, sights: dict[StationName, Seen]
-) -> Iterator[Event]:
+def _refute(state: LabState, action: Action, done: EffectsDone, why: str, sights: Sights) -> Iterator[Event]:
     """The events that follow when an observer saw that the action was not done, or not done correctly."""
     run = state.runs.active.get(action.run)
     maybe = _find_whereabouts(state, action, why, sights)
@@ -162,9 +149,7 @@ def _refute(
         yield narrow.get(event.labware, event) if isinstance(event, LabwareUncertain) else event
 
 
-def _find_whereabouts(
-    state: LabState, action: Action, why: str, sights: dict[StationName, Seen]
-) -> list[LabwareUncertain]:
+def _find_whereabouts(state: LabState, action: Action, why: str, sights: Sights) -> list[LabwareUncertain]:
     """The possible places of labware that did not arrive as its module reports. These are the places where it
     was seen. If there are none, it may be off the bench, or at any place that was not observed without it."""
     found: list[LabwareUncertain] = []
@@ -177,7 +162,7 @@ def _find_whereabouts(
     return found
 
 
-def _describe_sights(sights: Iterable[Seen]) -> str:
+def _describe_sights(sights: Iterable[StationObserved]) -> str:
     """The observations, as text for people."""
     texts = []
     for seen in sights:

@@ -45,9 +45,8 @@ def withdraw_waiting(state: LabState, event: ActionEvent | NodeLeft | NodeStateC
     continue."""
     if isinstance(event, NodeStateChanged) and event.status == "ERROR":
         return
-    for question in state.interventions.list_about(event.module):
-        if isinstance(question.topic, DeviceWaits):
-            yield question.withdraw(_GOES_ON.get(type(event), "its action has ended"))
+    for question in state.interventions.list_about(event.module, DeviceWaits):
+        yield question.withdraw(_GOES_ON.get(type(event), "its action has ended"))
 
 
 _GOES_ON: dict[type[Event], str] = {

@@ -6,12 +6,11 @@ from collections.abc import Iterator
 
 from labos.core.decide._base import Rejection
 from labos.core.ids import ExperimentId, RunId
-from labos.core.interventions import Intervention
 from labos.core.model import Plan, Window
 from labos.core.registry import Event
 from labos.core.runs import Anchor, EndTimes, RunEnd, RunPaused, RunResumed, RunStarted, RunState
 from labos.core.state import LabState
-from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson, Topic
+from labos.core.topics import Approval, ClosingWaits, FailedStep, LateStep, SecondPerson
 
 
 def list_outer_windows(plan: Plan) -> list[Window]:
@@ -90,17 +89,12 @@ def ask_about_breach(state: LabState, run: RunState, step: int, what: str) -> li
     ]
 
 
-def list_questions(state: LabState, run: RunId, *topics: type[Topic]) -> list[Intervention]:
-    """The open questions of these types about a run."""
-    return [q for q in state.interventions.find_by_run(run) if isinstance(q.topic, topics)]
-
-
 # -- reactions -----------------------------------------------------------------------------------
 
 
 def withdraw_late_questions(state: LabState, event: RunResumed) -> Iterator[Event]:
     """When a person resumes a run, the questions about its late steps are withdrawn."""
-    for question in list_questions(state, event.run, LateStep):
+    for question in state.interventions.find_by_run(event.run, LateStep):
         yield question.withdraw("the run was resumed")
 
 
@@ -108,5 +102,5 @@ def withdraw_run_questions(state: LabState, event: RunStarted | RunEnd) -> Itera
     """When a run starts or ends, the questions about it and its steps are withdrawn."""
     why = "the run has begun" if isinstance(event, RunStarted) else "the run has ended"
     topics = (LateStep, FailedStep, ClosingWaits, SecondPerson, Approval)
-    for question in list_questions(state, event.run, *topics):
+    for question in state.interventions.find_by_run(event.run, *topics):
         yield question.withdraw(why)

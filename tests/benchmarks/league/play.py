@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from labos.core.actions import ActionRequested, ActionSucceeded
 from labos.core.decide import Command, Rejection
 from labos.core.decide.actions import FinishAction
-from labos.core.decide.batches import MOST_RUNS, SubmitRuns
+from labos.core.decide.composites import MOST_RUNS, SubmitRuns
 from labos.core.decide.control import PauseStarts, ResumeStarts
 from labos.core.decide.experiments import EndExperiment, StartExperiment
 from labos.core.decide.lab import ApplyWorkcell, DeclareStation

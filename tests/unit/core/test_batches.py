@@ -7,8 +7,8 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from labos.core.decide.batches import MOST_RUNS, SubmitRuns
 from labos.core.decide.cancelling import CancelRun
+from labos.core.decide.composites import MOST_RUNS, SubmitRuns
 from labos.core.decide.runs import SubmitRun
 from labos.core.decide.shares import ApplyShares
 from labos.core.decide.stock import LoadStation

@@ -10,8 +10,9 @@ from labos.core.actions import ActionFailed, ActionReported
 from labos.core.decide.actions import DoubtAction, FinishAction
 from labos.core.decide.nodes import LoseNode, TakeOut
 from labos.core.decide.observation import ObserveStation
-from labos.core.decide.verification import Seen, VerifyAction
+from labos.core.decide.verification import VerifyAction
 from labos.core.ids import ActionId, LabwareId, ModuleName, StationName
+from labos.core.labware import StationObserved
 from labos.core.model import OnError, Plan, Retry, Verify
 from labos.core.registry import Event
 from labos.core.runs import RunFailed
@@ -34,9 +35,9 @@ def make_watched(verify: Verify = "always", *, places: tuple[str, ...] = ("a", "
 
 def see(lab: Driver, action: str, unseen: str = "", **counts: Any) -> list[Event]:
     seen = tuple(
-        Seen(StationName(full(place)), "cam", labware=LabwareId(what))
+        StationObserved(StationName(full(place)), "cam", labware=LabwareId(what))
         if isinstance(what, str)
-        else Seen(StationName(full(place)), "cam", what)
+        else StationObserved(StationName(full(place)), "cam", what)
         for place, what in counts.items()
     )
     return lab.do(VerifyAction(ActionId(action), seen, unseen))
