@@ -197,8 +197,8 @@ def _make_member(
         index = line.steps[number]
         task = tasks[index]
         least, most = line.least[number], line.most[number]
-        if statuses:
-            least, most = _since_clocks(state, run, plan, line, number, first, durations, end, least, most)
+        if statuses and number == first:
+            least, most = _since_clocks(state, run, plan, line, first, durations, end)
         takes = dict.fromkeys(k for k in (*task.takes, *task.gets) if ways.room[k] == 1)
         holds = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
         wait = _count_slots(least, slot)
@@ -250,17 +250,12 @@ def _since_clocks(
     run: RunState,
     plan: Plan,
     line: StepChain,
-    number: int,
     first: int,
     durations: dict[int, int],
     end: int,
-    least: int,
-    most: int | None,
 ) -> tuple[int, int | None]:
-    """The shortest and the longest wait of a run before a step (ns; None: no limit). For its ``first`` step
-    that has not started, they follow from the clocks that run at ``end``. For later steps, they are given."""
-    if number != first:
-        return least, most
+    """The shortest and the longest wait of a run before its ``first`` step that has not started (ns; None: no
+    limit). They follow from the clocks that run at ``end``."""
     least, most = 0, None
     for later in range(first, len(line.steps)):
         for window in plan.steps[line.steps[later]].windows:

@@ -582,7 +582,7 @@ def cost(queued: int) -> tuple[int, int]:
     """Runs looked at for reservations, and evaluations, while ten actions end."""
     lab = small()
     lab.careful = False
-    counting = lab.scheduler.reservations = Counting()
+    counting = lab.scheduler.reservations = Counting(lab.scheduler.safety, {})
     start_clock(lab, read(500.0, 600.0))
     for number in range(queued):
         lab.submit(plan(step("cam", duration_s=20.0), name="short"), user=f"u{number % 2}")
