@@ -34,6 +34,7 @@ from labos.planning.safety import Safety
 from labos.planning.scene import Scene
 from labos.planning.suggested import bring_forward, find_order, find_suggested_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
+from labos.planning.window_order import PUNCTUAL_S
 
 SEARCH_LIMIT = 24
 """The most rehearsals in one search for a plan."""
@@ -42,39 +43,31 @@ CALM_S = 1.0
 """How long (lab seconds) nothing must have happened before a step starts although its following steps would
 be too late, because something is in their way."""
 
-PUNCTUAL_S = 5.0
-"""The most delay (lab seconds) of a step behind its suggested time with which all still goes as suggested."""
-
 ALONE_LIMIT = 8
 """The most rehearsals in one search for a run that is alone in the workcell."""
 
 
-class CellOutlook:
+class CellOutlook(msgspec.Struct):
     """How a workcell goes on from one position of the log and one time. ``obliged`` are the runs with steps
     that have to start in time, ``advice`` says what steps wait for, and ``outcome`` is the result of the
     rehearsal. ``as_suggested``: the outlook follows an order of a planner or of the lab. The scene is made
     when it is first used. For a run alone in the workcell, ``safety`` is None: no run can be trapped."""
 
-    def __init__(
-        self,
-        state: LabState,
-        safety: Safety | None,
-        cell: str,
-        now: int,
-        obliged: list[RunState],
-        advice: Advice,
-        scene: Scene | None = None,
-    ) -> None:
-        self.state, self.safety, self.cell, self.now = state, safety, cell, now
-        self.obliged, self.advice, self.outcome = obliged, advice, RehearsalResult()
-        self.as_suggested = False
-        self._scene = scene
+    state: LabState
+    safety: Safety | None
+    cell: str
+    now: int
+    obliged: list[RunState]
+    advice: Advice
+    known_scene: Scene | None = None
+    outcome: RehearsalResult = msgspec.field(default_factory=RehearsalResult)
+    as_suggested: bool = False
 
     @property
     def scene(self) -> Scene:
-        if self._scene is None:
-            self._scene = Scene(self.state, self.cell, self.now)
-        return self._scene
+        if self.known_scene is None:
+            self.known_scene = Scene(self.state, self.cell, self.now)
+        return self.known_scene
 
     def with_run_alone(self, run: RunState) -> CellOutlook:
         """The outlook if this run were alone in the workcell."""

@@ -105,12 +105,8 @@ class Reservations:
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
         self._helpers_at: tuple[int, int] | None = None
 
-    def list_open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
-        """The reservations whose window is open, the earliest deadline first: those of a workcell, or of all
-        workcells if none is named."""
-        if not cell:
-            found = [one for name in state.runs.windowed_in for one in self.list_open(state, now, name)]
-            return sorted(found, key=_sort_key)
+    def list_open(self, state: LabState, now: int, cell: str) -> list[Reservation]:
+        """The reservations of a workcell whose window is open, the earliest deadline first."""
         if not state.runs.windowed_in.get(cell):
             return []
         if self._position.get(cell) != state.position:
@@ -262,15 +258,11 @@ class Reservations:
                     )
                     if found is not None:
                         all_.append(found)
-        all_.sort(key=_sort_key)
+        all_.sort(key=lambda found: (found.deadline, found.position, found.step))
         for found in all_:
             for need in found.needs:
                 key = (found.run, need.step)
                 urgent[key] = min(urgent.get(key, NEVER), need.latest)
-
-
-def _sort_key(found: Reservation) -> tuple[int, int, int]:
-    return (found.deadline, found.position, found.step)
 
 
 def _find_anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:

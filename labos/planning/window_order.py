@@ -29,7 +29,7 @@ from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import Chain, Fit, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Ways
-from labos.planning.own_order import draw_numbers
+from labos.planning.own_order import BREATH_NS, draw_numbers
 from labos.planning.retiming import correct_times
 from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
@@ -52,9 +52,6 @@ TRIES_NEW = 10
 ENOUGH_EACH = 430
 """The number of orders that are tried for each waiting run before the search is over. While nothing happens,
 it goes on in one turn of the kernel after another."""
-
-BREATH_NS = 2_000_000
-"""The pause between two turns of a search (ns). Other work is done in it."""
 
 LONGEST_SEARCH_NS = 10_000_000_000
 """The longest time (ns of wall time) for which no run starts in an empty workcell because of the search."""
