@@ -8,10 +8,10 @@ with this order than without any order, and better than with the previous sugges
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
 
 from msgspec.structs import replace
 
+from labos.core.branches import sort_by_predecessors
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
 from labos.core.rules import convert_lab_s
@@ -67,7 +67,7 @@ class Planner:
         search is worthwhile. This takes some ten milliseconds, so ask often."""
         waiting = list(waiting)
         counts = self._overtaken.setdefault(cell, Overtakings()).count(state, cell, waiting)
-        return self._windows.is_due(state, cell, waiting, partial(_count, counts), now)
+        return self._windows.is_due(state, cell, waiting, counts.__getitem__, now)
 
     def suggest(
         self, state: LabState, cell: str, waiting: Iterable[RunState], now: int
@@ -83,7 +83,7 @@ class Planner:
         problem = replace(problem, overtaken=overtaken)
         if _is_one_line(problem):
             return None
-        windowed = self._windows.search(state, cell, waiting, partial(_count, counts), now)
+        windowed = self._windows.search(state, cell, waiting, counts.__getitem__, now)
         begin = None
         if windowed is not None and not self.exact:
             begin = self._windows.suggest_line(state, windowed, now)
@@ -169,10 +169,6 @@ def _has_ranks(problem: SchedulingProblem) -> bool:
     return len(set(problem.ranks)) > 1 or any(at is not None for at in due)
 
 
-def _count(counts: Mapping[RunId, int], run: RunId) -> int:
-    return counts.get(run, 0)
-
-
 def _list_outside(
     state: LabState, problem: SchedulingProblem, now: int, known: Mapping[tuple[RunId, int], int]
 ) -> list[Suggested]:
@@ -205,12 +201,10 @@ def _are_alike(state: LabState, before: Sequence[Suggested], after: Sequence[Sug
 
 def _list_earliest_starts(problem: SchedulingProblem) -> list[float]:
     """When each task could start (lab seconds from now) if it waited for nothing but its own run."""
-    starts, before = [0.0] * len(problem.tasks), list[float]()
-    while starts != before:  # a task may have a lower number than one that ends before it
-        before = list(starts)
-        for number, task in enumerate(problem.tasks):
-            for other in task.after:
-                starts[number] = max(starts[number], starts[other] + problem.tasks[other].duration_s)
+    starts = [0.0] * len(problem.tasks)
+    for number in sort_by_predecessors({number: task.after for number, task in enumerate(problem.tasks)}):
+        before = problem.tasks[number].after
+        starts[number] = max((starts[n] + problem.tasks[n].duration_s for n in before), default=0.0)
     return starts
 
 

@@ -25,7 +25,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import MOST_STEPS
 from labos.planner.lengths import estimate_at_level
 from labos.planner.measure import rate_runs
-from labos.planning.forecast import find_setup_in_progress
+from labos.planning.forecast import find_run, find_setup_in_progress
 from labos.planning.taken import count_room, find_station, is_deck, list_counted_keys, list_taken
 
 MOST_WAITING = 30
@@ -169,9 +169,7 @@ def _list_setups(state: LabState, tasks: Sequence[Task]) -> Iterator[SetupCosts]
     """The durations of set-ups between tasks that have not started, for each module with set-ups."""
     by_module: dict[ModuleName, dict[int, Mapping[str, Any]]] = {}
     for number, task in enumerate(tasks):
-        run = state.runs.get(task.run)
-        assert run is not None
-        step = state.runs.plan_of(run).steps[task.step]
+        step = state.runs.plan_of(find_run(state, task.run)).steps[task.step]
         module = state.modules.by_name.get(step.module)
         setup = module.spec.setup if module is not None else None
         if setup is not None and setup.argument in step.args and not task.runs:

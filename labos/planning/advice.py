@@ -8,7 +8,7 @@ from labos.core.ids import RunId
 from labos.core.model import PlanStep
 from labos.core.runs import PENDING, RunState
 from labos.core.state import LabState
-from labos.planning.forecast import find_pending_before
+from labos.planning.forecast import find_pending_before, find_run
 from labos.planning.player import FAR, Step, Who, find_step
 from labos.planning.rehearsal import Advice, RehearsalResult
 
@@ -24,8 +24,7 @@ def list_options(
     """Other advice that may bring a late step in time. Runs that would be trapped go to their ends first. A
     run in its way goes on to its end, or waits until the blocked step has started. Or its clock starts later.
     ``run`` is a run that is to start. The step ``forced`` starts whatever the advice is."""
-    mover = state.runs.get(RunId(late[0]))
-    assert mover is not None
+    mover = find_run(state, late[0])
     what = state.runs.plan_of(mover)
     if outcome.trap is not None and outcome.trap[0] != forced:
         yield from _let_pass(state, advice, *outcome.trap)

@@ -11,11 +11,7 @@ Name = TypeVar("Name", bound=Hashable)
 
 def find_earliest(*times: int | None) -> int | None:
     """The earliest of these times; None if there is none."""
-    earliest = None
-    for time in times:
-        if time is not None and (earliest is None or time < earliest):
-            earliest = time
-    return earliest
+    return min((time for time in times if time is not None), default=None)
 
 
 class Alarms(Generic[Name]):

@@ -109,6 +109,3 @@ def _find_kept(floor: Floor, actor: Actor) -> set[str]:
         if actor.name in holders:
             kept.add(split_key(key)[1])
     return kept
-
-
-__all__ = ["check_should_stay"]

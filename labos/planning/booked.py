@@ -284,6 +284,3 @@ class BookingTimes:
                     yield EndBooking(booking.id, now)
                 case _:
                     pass
-
-
-__all__ = ["BookingTimes", "check_start", "find_next_collision", "list_without_gap"]

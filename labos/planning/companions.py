@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from labos.core import reasons
-from labos.core.decide import Command
-from labos.core.decide.actions import StartStep
-from labos.core.decide.together import StartTogether, find_planned_wish, find_wish
+from labos.core.decide.together import find_planned_wish, find_wish
 from labos.core.effects import list_places
-from labos.core.ids import ActionId, ModuleName, RunId
+from labos.core.ids import ModuleName
 from labos.core.model import Plan, PlanStep
 from labos.core.recurrence import in_zone
 from labos.core.rules import convert_lab_s, examine
@@ -176,13 +174,3 @@ def _comes_by(state: LabState, run: RunState, index: int, now: int, until: int) 
         if action.run == run.id:
             at = max(at, action.requested_at + find_usual_time(state, plan.steps[action.step]))
     return at + sum(find_usual_time(state, plan.steps[each]) for each in before) <= until
-
-
-def make_command(starts: list[tuple[RunId, int, ActionId]], plan: str, now: int) -> Command:
-    """The command that starts a step, or steps of several runs together. ``plan`` is the plan to which the
-    run is bound, if it has several."""
-    commands = [StartStep(run, step, action, now, plan) for run, step, action in starts]
-    return commands[0] if len(commands) == 1 else StartTogether(tuple(commands))
-
-
-__all__ = ["check_for_others", "find_companions", "find_ready_time", "make_command", "put_last"]

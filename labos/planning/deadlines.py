@@ -127,10 +127,8 @@ class Deadlines:
         self._closings.set(name, None if due is None else due + 1)
 
     def _note_windows(self, state: LabState, run: RunId) -> None:
-        if run in state.runs.windowed:
-            self._windows.set(run, min((at + 1 for _, _, at in _list_windows(state, run)), default=None))
-        else:
-            self._windows.set(run, None)
+        windows = _list_windows(state, run) if run in state.runs.windowed else ()
+        self._windows.set(run, min((at + 1 for _, _, at in windows), default=None))
 
     def _note_action(self, state: LabState, action: ActionId) -> None:
         self._actions.set(action, _find_due_time(state, action))

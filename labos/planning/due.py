@@ -45,6 +45,3 @@ def find_time_left(state: LabState, run: RunState) -> int:
         begins = max((ends.get(before, now) for before in step.after), default=now)
         ends[index] = max(begins, find_earliest_start(state, run, index, ends)) + find_usual_time(state, step)
     return max(ends.values(), default=now) - now
-
-
-__all__ = ["UNDATED", "DueDates", "find_time_left"]

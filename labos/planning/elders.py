@@ -49,7 +49,7 @@ class Elders:
             return False  # it waits until a booking of others is over
         # The elder may wait for a reservation to end. A run without windows reserves nothing, so its start
         # does not delay the elder.
-        return windowed or self._reservations.check_start(state, elder, first, now, self._safety) is None
+        return windowed or self._reservations.check_start(state, elder, first, now) is None
 
     def _is_able(self, state: LabState, elder: RunState, first: int, now: int) -> bool:
         """Whether neither the first step of an elder run nor a later one is blocked, and no obstacle stays in

@@ -69,6 +69,13 @@ def find_spread(state: LabState, step: PlanStep) -> int:
     return own + find_setup_ns(state, step)
 
 
+def find_run(state: LabState, name: str) -> RunState:
+    """The run with this name, which has not ended."""
+    run = state.runs.get(name)
+    assert run is not None
+    return run
+
+
 def is_pending(run: RunState, index: int) -> bool:
     """Whether a step has not started. True for each step of a run that has not started."""
     return not run.has_started or run.steps[index].status == PENDING

@@ -205,6 +205,3 @@ def _list_tables(floor: Floor, actor: Actor) -> list[dict[Any, int]]:
     pools = [floor.pools[owner] for owner in actor.inputs if owner in floor.pools]
     left = floor.pools.setdefault(name_leftover_owner(actor.home), {}) if actor.home else {}
     return [floor.count, actor.own, left, floor.stock, *pools]
-
-
-__all__ = ["FORK", "find_branches", "finish", "list_motions"]

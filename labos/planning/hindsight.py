@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from statistics import median
 
 import msgspec
 
@@ -188,7 +189,7 @@ class Hindsight(msgspec.Struct):
         low, high = _find_narrowest_range(
             parts, self.levels.get(_name_level(asked.what, kind, asked.age), self.target)
         )
-        middle, scale = _find_median(parts), _scale(asked.foreseen - asked.now)
+        middle, scale = median(parts), _scale(asked.foreseen - asked.now)
         return TimeRange(
             *(max(asked.now, int(asked.foreseen + part * scale)) for part in (low, middle, high))
         )
@@ -302,11 +303,6 @@ def _find_narrowest_range(ordered: Sequence[float], level: float) -> tuple[float
     count = min(len(ordered), max(1, math.ceil(level * (len(ordered) + 1))))
     first = min(range(len(ordered) - count + 1), key=lambda i: ordered[i + count - 1] - ordered[i])
     return ordered[first], ordered[first + count - 1]
-
-
-def _find_median(ordered: Sequence[float]) -> float:
-    half = len(ordered) // 2
-    return ordered[half] if len(ordered) % 2 else (ordered[half - 1] + ordered[half]) / 2
 
 
 # -- from the log --------------------------------------------------------------------------------

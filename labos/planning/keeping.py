@@ -11,7 +11,7 @@ them, it starts once nothing else happens: no run waits without end.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 
@@ -24,7 +24,7 @@ from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
 from labos.core.waits import Wait
 from labos.planning.advice import list_options
-from labos.planning.forecast import find_earliest_start, is_pending
+from labos.planning.forecast import find_earliest_start, find_run, is_pending
 from labos.planning.layout import is_down
 from labos.planning.passage import find_first_trap, find_late_step
 from labos.planning.player import FAR, Player, Step, find_chained
@@ -34,6 +34,7 @@ from labos.planning.safety import Safety
 from labos.planning.scene import Scene
 from labos.planning.suggested import bring_forward, find_order, find_suggested_order, find_suggested_times
 from labos.planning.touch import cell_key, window_key
+from labos.planning.window_order import PUNCTUAL_S
 
 SEARCH_LIMIT = 24
 """The most rehearsals in one search for a plan."""
@@ -42,39 +43,31 @@ CALM_S = 1.0
 """How long (lab seconds) nothing must have happened before a step starts although its following steps would
 be too late, because something is in their way."""
 
-PUNCTUAL_S = 5.0
-"""The most delay (lab seconds) of a step behind its suggested time with which all still goes as suggested."""
-
 ALONE_LIMIT = 8
 """The most rehearsals in one search for a run that is alone in the workcell."""
 
 
-class CellOutlook:
+class CellOutlook(msgspec.Struct):
     """How a workcell goes on from one position of the log and one time. ``obliged`` are the runs with steps
     that have to start in time, ``advice`` says what steps wait for, and ``outcome`` is the result of the
     rehearsal. ``as_suggested``: the outlook follows an order of a planner or of the lab. The scene is made
     when it is first used. For a run alone in the workcell, ``safety`` is None: no run can be trapped."""
 
-    def __init__(
-        self,
-        state: LabState,
-        safety: Safety | None,
-        cell: str,
-        now: int,
-        obliged: list[RunState],
-        advice: Advice,
-        scene: Scene | None = None,
-    ) -> None:
-        self.state, self.safety, self.cell, self.now = state, safety, cell, now
-        self.obliged, self.advice, self.outcome = obliged, advice, RehearsalResult()
-        self.as_suggested = False
-        self._scene = scene
+    state: LabState
+    safety: Safety | None
+    cell: str
+    now: int
+    obliged: list[RunState]
+    advice: Advice
+    known_scene: Scene | None = None
+    outcome: RehearsalResult = msgspec.field(default_factory=RehearsalResult)
+    as_suggested: bool = False
 
     @property
     def scene(self) -> Scene:
-        if self._scene is None:
-            self._scene = Scene(self.state, self.cell, self.now)
-        return self._scene
+        if self.known_scene is None:
+            self.known_scene = Scene(self.state, self.cell, self.now)
+        return self.known_scene
 
     def with_run_alone(self, run: RunState) -> CellOutlook:
         """The outlook if this run were alone in the workcell."""
@@ -115,9 +108,9 @@ Standing = dict[str, tuple[StepStatus, ...]]
 class Windows:
     """Checks starts in one state after the other. ``plays`` counts rehearsals."""
 
-    def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
+    def __init__(self, safety: Safety, own: Mapping[str, OrderSuggested]) -> None:
         self.plays = 0
-        self._own = own if own is not None else {}
+        self._safety, self._own = safety, own
         self._at: tuple[int, int] | None = None
         self._plans: dict[str, CellOutlook] = {}
         self._advice: dict[str, Advice] = {}
@@ -129,13 +122,13 @@ class Windows:
         self._put_off: dict[Step, tuple[Standing, int]] = {}
         self._punctual = PunctualOrders(self._own)
 
-    def find_planned_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> int:
+    def find_planned_start(self, state: LabState, run: RunState, step: int, now: int) -> int:
         """The time at which the step starts in the plan that keeps the windows (UTC ns); FAR if it does not
         start there."""
         cell = state.runs.plan_of(run).workcell
         if not state.runs.windowed_in.get(cell) and not self._punctual.find_starts(state, cell, now):
             return FAR
-        plan, who = self._plan(state, cell, now, safety), (str(run.id), step)
+        plan, who = self._plan(state, cell, now), (str(run.id), step)
         found = plan.outcome.starts.get(who, FAR)
         if found == FAR and plan.as_suggested:
             suggested = plan.advice.not_before.get(who, FAR)  # the run is admitted later
@@ -144,7 +137,7 @@ class Windows:
             return found
         return now if self._is_as_suggested(self._make_trial(plan, run, step)) else found
 
-    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """What a start has to wait for so that windows can be kept; None if the step may start."""
         what = state.runs.plans[run.plan]
         follow = find_chained(run, what.plan, [step]) if what.windowed else ()
@@ -152,7 +145,7 @@ class Windows:
             return None
         if what.plan.steps[step].recovers:
             return None  # no run that needs the module can continue before this step
-        plan = self._plan(state, what.plan.workcell, now, safety)
+        plan = self._plan(state, what.plan.workcell, now)
         trial = self._make_trial(plan, run, step)
         waits = self._hold_off(trial)
         if waits is not None:
@@ -193,9 +186,9 @@ class Windows:
     def _make_trial(self, plan: CellOutlook, run: RunState | None, step: int) -> Trial:
         return Trial(plan, run, step, set(plan.outcome.late) | self._surely_late)
 
-    def follows_order(self, state: LabState, cell: str, now: int, safety: Safety) -> bool:
+    def follows_order(self, state: LabState, cell: str, now: int) -> bool:
         """Whether everything goes as in an order that keeps all windows."""
-        return self._plan(state, cell, now, safety).as_suggested
+        return self._plan(state, cell, now).as_suggested
 
     def _is_as_suggested(self, trial: Trial) -> bool:
         """Whether the suggested order admits a run now, and a rehearsal of this start makes no further step
@@ -325,7 +318,7 @@ class Windows:
 
     # -- the plan ------------------------------------------------------------------------------
 
-    def _plan(self, state: LabState, cell: str, now: int, safety: Safety) -> CellOutlook:
+    def _plan(self, state: LabState, cell: str, now: int) -> CellOutlook:
         if self._at != (state.position, now):
             self._at = (state.position, now)
             self._plans.clear()
@@ -341,11 +334,12 @@ class Windows:
             self._surely_late = {who for who in self._surely_late if who[0] in state.runs.windowed}
         found = self._plans.get(cell)
         if found is None:
-            found = self._plans[cell] = self._make_plan(state, cell, now, safety)
+            found = self._plans[cell] = self._make_plan(state, cell, now)
             self._advice[cell] = found.advice
         return found
 
-    def _make_plan(self, state: LabState, cell: str, now: int, safety: Safety) -> CellOutlook:
+    def _make_plan(self, state: LabState, cell: str, now: int) -> CellOutlook:
+        safety = self._safety
         obliged = [run for run in _find_obliged(state, cell) if not _is_shut_out(state, run, now, safety)]
         before = self._advice.get(cell, NO_ADVICE) if obliged else NO_ADVICE
         plan = CellOutlook(state, safety, cell, now, obliged, before)
@@ -411,9 +405,8 @@ class Windows:
         """The wait of a start after which the step ``late`` would be late. It ends when something may have
         changed: at ``again``, or at the next planned start or end (UTC ns)."""
         run, plan, state = trial.run, trial.plan, trial.plan.state
-        whose = state.runs.get(late[0])
+        whose = find_run(state, late[0])
         assert run is not None
-        assert whose is not None
         key = state.runs.plan_of(run).steps[trial.step].key
         late_key = state.runs.plan_of(whose).steps[late[1]].key
         why = reasons.FollowsLate if whose.id == run.id else reasons.WouldDelay

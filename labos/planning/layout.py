@@ -47,19 +47,18 @@ def is_down(state: LabState, module: ModuleName, *, recovered: bool = False) -> 
     return known is None or module in state.lab.paused or check_module(known, recovers=recovered) is not None
 
 
-def find_standing(state: LabState, owners: Iterable[Owner]) -> tuple[dict[StationName, int], bool]:
-    """The places of the owners' labware after all actions in flight have ended, with the number of pieces;
+def find_standing(state: LabState, owner: Owner) -> tuple[dict[StationName, int], bool]:
+    """The places of an owner's labware after all actions in flight have ended, with the number of pieces;
     and whether the place of a piece is unknown."""
     places: dict[StationName, int] = {}
     lost = False
-    for owner in owners:
-        for item in state.bench.list_owned(owner):
-            lost = lost or bool(item.maybe)
-            place = find_destination(state.bench, item)
-            if place:
-                places[place] = places.get(place, 0) + 1
-        for target in find_arriving(state, run) if (run := find_owning_run(owner)) else ():
-            places[target] = places.get(target, 0) + 1
+    for item in state.bench.list_owned(owner):
+        lost = lost or bool(item.maybe)
+        place = find_destination(state.bench, item)
+        if place:
+            places[place] = places.get(place, 0) + 1
+    for target in find_arriving(state, run) if (run := find_owning_run(owner)) else ():
+        places[target] = places.get(target, 0) + 1
     return places, lost
 
 

@@ -414,6 +414,3 @@ def _goes_on(run: RunState) -> bool:
     if not run.has_started:
         return True
     return run.status == RunStatus.ACTIVE and not find_holds(run)
-
-
-__all__ = ["Outline", "Task", "Ways"]

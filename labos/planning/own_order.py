@@ -72,8 +72,6 @@ Part = tuple[int, int, tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """A step, its duration (ns), and numbers of the model: what it uses while it lasts, the places where it takes
 room from its start, and the places where it frees room at its end."""
 
-_MASK = 2**64 - 1
-
 FAR = 2**62
 
 
@@ -582,7 +580,12 @@ class OrderSearch:
 
     def _draw(self) -> Iterator[int]:
         """Pseudorandom numbers, the same for the same runs after the same number of tried orders."""
-        value = (sum(run.position for run in self.outline.runs) * 1_000_003 + self._seed) & _MASK
-        while True:
-            value = (value * 6364136223846793005 + 1442695040888963407) & _MASK
-            yield value >> 33
+        seed = sum(run.position for run in self.outline.runs) * 1_000_003 + self._seed
+        return (number >> 33 for number in draw_numbers(seed))
+
+
+def draw_numbers(seed: int) -> Iterator[int]:
+    """Pseudorandom numbers of 64 bits. The same seed gives the same numbers."""
+    while True:
+        seed = (seed * 6364136223846793005 + 1442695040888963407) % 2**64
+        yield seed

@@ -13,9 +13,8 @@ from typing import Any
 
 import msgspec
 
-from labos.core.ids import RunId
 from labos.core.runs import PENDING
-from labos.planning.forecast import find_usual_time
+from labos.planning.forecast import find_run, find_usual_time
 from labos.planning.player import FAR, Player, Step, Who
 from labos.planning.scene import Scene
 
@@ -88,9 +87,7 @@ def play(
             break
         while scene.flying and scene.flying[0][0] <= now:
             _, _, who, step, effects = heapq.heappop(scene.flying)
-            run = scene.state.runs.get(RunId(who[0]))
-            assert run is not None
-            scene.release(cast.get(who[0]), run, who, step, effects)
+            scene.release(cast.get(who[0]), find_run(scene.state, who[0]), who, step, effects)
     for player in cast.values():
         for index, due in player.due.items():
             outcome.due[player.name, index] = due

@@ -16,7 +16,7 @@ windows by usual durations, also where there is no room for a margin. Its starts
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import msgspec
@@ -38,6 +38,7 @@ from labos.planning.forecast import (
     find_latest_starts,
     find_longest_time,
     find_pending_before,
+    find_run,
     find_setup_in_progress,
     find_spread,
     find_usual_time,
@@ -87,7 +88,6 @@ class AskedStart(msgspec.Struct, frozen=True):
     run: RunState
     step: int
     now: int
-    safety: Safety
     reservations: Sequence[Reservation]
 
 
@@ -95,22 +95,18 @@ class Reservations:
     """The reservations of one state after the other. They are computed once for each workcell and position of
     the log. ``refusals`` counts the starts that had to wait."""
 
-    def __init__(self, own: dict[str, OrderSuggested] | None = None) -> None:
+    def __init__(self, safety: Safety, own: Mapping[str, OrderSuggested]) -> None:
         self.refusals = 0
-        self._own = own if own is not None else {}
-        self.windows = Windows(self._own)
+        self._safety, self._own = safety, own
+        self.windows = Windows(safety, own)
         self._position: dict[str, int] = {}
         self._all: dict[str, list[Reservation]] = {}
         self._urgent: dict[str, dict[tuple[RunId, int], int]] = {}
         self._helpers: dict[tuple[RunId, int], Helpers] = {}
         self._helpers_at: tuple[int, int] | None = None
 
-    def list_open(self, state: LabState, now: int, cell: str = "") -> list[Reservation]:
-        """The reservations whose window is open, the earliest deadline first: those of a workcell, or of all
-        workcells if none is named."""
-        if not cell:
-            found = [one for name in state.runs.windowed_in for one in self.list_open(state, now, name)]
-            return sorted(found, key=_sort_key)
+    def list_open(self, state: LabState, now: int, cell: str) -> list[Reservation]:
+        """The reservations of a workcell whose window is open, the earliest deadline first."""
         if not state.runs.windowed_in.get(cell):
             return []
         if self._position.get(cell) != state.position:
@@ -134,23 +130,23 @@ class Reservations:
     @contextmanager
     def forget_afterwards(self) -> Iterator[None]:
         """Forget afterwards what ``windows`` finds here: a question must not change a later decision."""
-        kept, self.windows = self.windows, Windows(self._own)
+        kept, self.windows = self.windows, Windows(self._safety, self._own)
         self.windows.remember(kept)
         try:
             yield
         finally:
             self.windows = kept
 
-    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """What a start waits for because of reservations and windows; None if it may go ahead. The rules must
         allow the start."""
-        planned = self.windows.find_planned_start(state, run, step, now, safety)
+        planned = self.windows.find_planned_start(state, run, step, now)
         if planned <= now:
             return None
         reservations = self.list_open(state, now, state.runs.plan_of(run).workcell)
-        asked = AskedStart(state, run, step, now, safety, reservations)
+        asked = AskedStart(state, run, step, now, reservations)
         wait = self._check_reservations(asked) or self._check_in_time(asked)
-        wait = wait or self.windows.check_start(state, run, step, now, safety)
+        wait = wait or self.windows.check_start(state, run, step, now)
         self.refusals += wait is not None
         if wait is not None and planned < FAR and (wait.until is None or planned < wait.until):
             return msgspec.structs.replace(wait, until=planned)  # no event marks that time
@@ -192,15 +188,12 @@ class Reservations:
         key = (found.run, found.step)
         known = self._helpers.get(key)
         if known is None:
-            run = state.runs.get(found.run)
-            assert run is not None
-            known = self._helpers[key] = find_helpers(state, run, found.chain, now, asked.safety)
+            run = find_run(state, found.run)
+            known = self._helpers[key] = find_helpers(state, run, found.chain, now, self._safety)
         return known
 
     def _wait(self, state: LabState, found: Reservation, need: Need, now: int) -> Wait:
-        run = state.runs.get(found.run)
-        assert run is not None
-        plan = state.runs.plan_of(run)
+        plan = state.runs.plan_of(find_run(state, found.run))
         times = [at for helpers in self._helpers.values() for at in helpers.times if at > now]
         return Wait(
             reasons.Reserved(split_key(need.resource)[1], str(found.run), plan.steps[need.step].key),
@@ -265,15 +258,11 @@ class Reservations:
                     )
                     if found is not None:
                         all_.append(found)
-        all_.sort(key=_sort_key)
+        all_.sort(key=lambda found: (found.deadline, found.position, found.step))
         for found in all_:
             for need in found.needs:
                 key = (found.run, need.step)
                 urgent[key] = min(urgent.get(key, NEVER), need.latest)
-
-
-def _sort_key(found: Reservation) -> tuple[int, int, int]:
-    return (found.deadline, found.position, found.step)
 
 
 def _find_anchors_in_flight(state: LabState, run: RunState, index: int) -> dict[int, int]:

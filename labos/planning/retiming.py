@@ -14,13 +14,11 @@ from collections.abc import Mapping
 
 import msgspec
 
-from labos.core.ids import RunId
 from labos.core.model import MAIN
 from labos.core.rules import convert_lab_s
-from labos.core.runs import RunState
 from labos.core.state import LabState
 from labos.core.suggestions import OrderSuggested
-from labos.planning.forecast import find_unavoidable_delay, is_pending
+from labos.planning.forecast import find_run, find_unavoidable_delay, is_pending
 from labos.planning.player import FAR, Player, Step
 from labos.planning.rehearsal import Advice, RehearsalResult, play
 from labos.planning.scene import Scene
@@ -45,7 +43,7 @@ def rehearse(
     ends = scene.list_ends()
     players: list[Player] = []
     for name in dict.fromkeys(run for run, _ in starts):
-        run = _find_run(state, name)
+        run = find_run(state, name)
         steps = state.runs.plan_of(run).steps
         left = [i for i, step in enumerate(steps) if step.part == MAIN and is_pending(run, i)]
         if any((name, index) not in starts for index in left):
@@ -59,7 +57,7 @@ def list_avoidable_misses(state: LabState, result: RehearsalResult, ends: Ends, 
     slack = convert_lab_s(state, EXACT_S)
     found: dict[Step, int] = {}
     for (name, step), late in result.late.items():
-        surely = find_unavoidable_delay(state, _find_run(state, name), step, ends.get(name, {}), now)
+        surely = find_unavoidable_delay(state, find_run(state, name), step, ends.get(name, {}), now)
         if late > surely + slack:
             found[name, step] = late - surely
     return found
@@ -87,7 +85,7 @@ def _put_off_clocks(state: LabState, starts: dict[Step, int], missed: Mapping[St
     """Put off the steps that start the clocks of missed windows, each by as much as its window is missed.
     False if a clock runs already, or if a step never starts."""
     for (name, step), late in missed.items():
-        windows = state.runs.plan_of(_find_run(state, name)).steps[step].windows
+        windows = state.runs.plan_of(find_run(state, name)).steps[step].windows
         limited = [window for window in windows if window.within_s is not None]
         clocks = {(name, w.anchor) for w in limited if w.anchor is not None and not w.of}
         pending = [who for who in starts if who in clocks]
@@ -107,9 +105,3 @@ def _set_times(order: OrderSuggested, starts: Mapping[Step, int]) -> OrderSugges
     steps.sort(key=lambda one: (one.start, one.run, one.step))
     longer = steps[-1].start - order.steps[-1].start
     return msgspec.structs.replace(order, steps=tuple(steps), until=order.until + max(0, longer))
-
-
-def _find_run(state: LabState, name: str) -> RunState:
-    run = state.runs.get(RunId(name))
-    assert run is not None
-    return run

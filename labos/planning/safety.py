@@ -365,7 +365,7 @@ class Safety:
             (*waits, *motions),
             {},
             (owner, name_leftover_owner(owner)),
-            stuck=dead or find_standing(state, (owner,))[1],
+            stuck=dead or find_standing(state, owner)[1],
             parks=experiment.status == ExperimentStatus.OPEN,
         )
 
@@ -390,7 +390,7 @@ class Safety:
                 path, plan, run, states, end, self._list_motions_after_failure(state, run)
             )
             kept = find_kept(path, plan, run, states)
-        own, lost = find_standing(state, (run_owner(run.id),))
+        own, lost = find_standing(state, run_owner(run.id))
         return Actor(
             str(run.id),
             (run_owner(run.id),),

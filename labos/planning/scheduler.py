@@ -19,8 +19,10 @@ import msgspec
 
 from labos.core import reasons
 from labos.core.decide import Command
+from labos.core.decide.actions import StartStep
 from labos.core.decide.cancelling import GiveUpWayOut, TakeWayOut
 from labos.core.decide.endings import has_open_action
+from labos.core.decide.together import StartTogether
 from labos.core.ids import (
     ActionId,
     ExperimentId,
@@ -42,7 +44,7 @@ from labos.planning.alarms import find_earliest
 from labos.planning.arrival import check_arrival
 from labos.planning.aside import check_should_stay
 from labos.planning.choosing import list_changes
-from labos.planning.companions import check_for_others, find_companions, make_command, put_last
+from labos.planning.companions import check_for_others, find_companions, put_last
 from labos.planning.deadlines import Deadlines
 from labos.planning.elders import Elders
 from labos.planning.forecast import list_ready_steps
@@ -92,7 +94,8 @@ class StepStart(msgspec.Struct, frozen=True):
     def make_command(self, name_action: Callable[[], ActionId], now: int) -> Command:
         """The command that requests the start, with a new id for each action."""
         steps = ((self.run, self.step), *self.others)
-        return make_command([(run, step, name_action()) for run, step in steps], self.plan, now)
+        commands = [StartStep(run, step, name_action(), now, self.plan) for run, step in steps]
+        return commands[0] if len(commands) == 1 else StartTogether(tuple(commands))
 
 
 class Scheduler:
@@ -102,7 +105,7 @@ class Scheduler:
     def __init__(self, own: OwnOrders | None = None) -> None:
         self.safety = Safety()
         self.window_orders = WindowOrders(PATIENCE)
-        self.reservations = Reservations(self.window_orders.orders)
+        self.reservations = Reservations(self.safety, self.window_orders.orders)
         self.evaluations = 0
         self.refusals = 0
         self.deadlines = Deadlines()
@@ -190,10 +193,10 @@ class Scheduler:
     def _check_time(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         """The wait of a step whose time has not come, because of bookings, windows or orders."""
         wait = booked.check_start(state, run, step, now) if state.bookings.open else None
-        wait = wait or self.reservations.check_start(state, run, step, now, self.safety)
+        wait = wait or self.reservations.check_start(state, run, step, now)
         if wait is None and self.adviser.has_orders(state) and not self._is_overtaken(state, run):
             cell = state.runs.plan_of(run).workcell
-            follows_order = partial(self.reservations.windows.follows_order, state, cell, now, self.safety)
+            follows_order = partial(self.reservations.windows.follows_order, state, cell, now)
             wait = self.adviser.check_start(state, run, step, now, follows_order)
         return wait
 
@@ -208,7 +211,7 @@ class Scheduler:
             # From the time at which the elder run has to wait for a booking, it is not protected any more.
             until = booked.find_next_collision(state, RunId(elder), now) if state.bookings.open else None
             return Wait(reasons.AfterElder(elder), (cell_key(cell),), until)
-        if not at_once and not self.adviser.is_time(state, run, step, now):
+        if not at_once and self.adviser.start_of(state, run, step, now) > now:
             early = check_arrival(state, run, step, now, self._list_plans(state, cell))
             if early is not None and not self.room.is_overtaken(state, run):
                 return self.adviser.wake_in_time(state, run, step, early, now)

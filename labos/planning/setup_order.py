@@ -68,6 +68,3 @@ def _list_setups(state: LabState, cell: str) -> dict[ModuleName, tuple[Setup, An
                 setup, value = found[step.module]
                 found[step.module] = setup, step.args.get(setup.argument, value)
     return found
-
-
-__all__ = ["SetupOrder"]

@@ -17,7 +17,6 @@ from labos.core.effects import Carrying, Needs, Requires, Sets, list_places
 from labos.core.ids import (
     LabwareId,
     ModuleName,
-    Owner,
     StationName,
     module_key,
     run_key,
@@ -51,7 +50,7 @@ def find_block(state: LabState, run: RunState) -> Wait | None:
     left = [step for step, status in zip(plan.steps, states, strict=True) if status not in SETTLED]
     return (
         _check_halted(state, run, left)
-        or _check_lost(state, (run_owner(run.id),))
+        or _check_lost(state, run)
         or _check_modules(state, left)
         or find_begun_booking(state, run, left)
         or _check_stopped_devices(state, run, left)
@@ -80,12 +79,10 @@ def _check_halted(state: LabState, run: RunState, left: Sequence[PlanStep]) -> W
     return None
 
 
-def _check_lost(state: LabState, owners: Iterable[Owner]) -> Wait | None:
-    for owner in owners:
-        for item in state.bench.list_owned(owner):
-            if item.maybe:
-                keys = tuple(station_key(place) for place in item.maybe)
-                return Wait(reasons.Lost(item.id), keys)
+def _check_lost(state: LabState, run: RunState) -> Wait | None:
+    for item in state.bench.list_owned(run_owner(run.id)):
+        if item.maybe:
+            return Wait(reasons.Lost(item.id), tuple(map(station_key, item.maybe)))
     return None
 
 

@@ -97,11 +97,6 @@ class Adviser:
         starts = state.runs.plans[run.plan].starts
         return min((advice.starts.get((run.id, first), LAST) for first in starts), default=LAST)
 
-    def is_time(self, state: LabState, run: RunState, step: int, now: int) -> bool:
-        """Whether the suggested start of a step has come; False if nothing is suggested."""
-        advice = self._find_advice(state, state.runs.plan_of(run).workcell, now)
-        return advice is not None and self.start_of(state, run, step, now) <= now
-
     def wake_in_time(self, state: LabState, run: RunState, step: int, wait: Wait, now: int) -> Wait:
         """The same wait, but at most until the suggested start of the step: no event marks that time."""
         begins = self.start_of(state, run, step, now) if state.suggestions.orders else LAST

@@ -256,7 +256,7 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case ActionRequested():
             # Safety counts an action in flight as done. So other starts may be safe from now on.
             return (cell_key(workcell_of(event.module)), *_list_window_keys(state, event.run))
-        case LevelSet() | ResourceReplenished():
+        case LevelSet() | ResourceReplenished() | SetpointReleased():
             # A run that was blocked may continue, so it is no obstacle to other runs any more.
             return (module_key(event.module), cell_key(workcell_of(event.module)))
         case ActionSucceeded():
@@ -280,8 +280,6 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
             )
         case VariableSet():
             return (module_key(event.module),)
-        case SetpointReleased():
-            return (module_key(event.module), cell_key(workcell_of(event.module)))
         case LabwareChanged() | LabwareHandedOver():
             labware = state.bench.labware.get(event.labware)
             place = labware.station if labware is not None else StationName("")

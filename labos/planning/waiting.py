@@ -151,8 +151,6 @@ class WaitingRoom:
 
     def take_emptied(self) -> list[str]:
         """The bundles that have become empty since the last call."""
-        if not self._gone:
-            return []
         gone, self._gone = self._gone, []
         return [bundle for bundle in gone if bundle not in self._bundles]
 

@@ -29,6 +29,7 @@ from labos.core.suggestions import OrderSuggested, Suggested
 from labos.planning.chains import Chain, Fit, SlotTable
 from labos.planning.forecast import find_usual_time
 from labos.planning.outline import Ways
+from labos.planning.own_order import BREATH_NS, draw_numbers
 from labos.planning.retiming import correct_times
 from labos.planning.window_timetable import PlannedCell, lay_out_runs
 
@@ -51,9 +52,6 @@ TRIES_NEW = 10
 ENOUGH_EACH = 430
 """The number of orders that are tried for each waiting run before the search is over. While nothing happens,
 it goes on in one turn of the kernel after another."""
-
-BREATH_NS = 2_000_000
-"""The pause between two turns of a search (ns). Other work is done in it."""
 
 LONGEST_SEARCH_NS = 10_000_000_000
 """The longest time (ns of wall time) for which no run starts in an empty workcell because of the search."""
@@ -222,7 +220,7 @@ class WindowOrders:
         search.members, search.looked, before = members, now, search.line
         is_same = known == members and search.progress == progress
         search.progress = progress
-        found = self._search(state, cell, inside, waiting, overtakings, now, tries, now, hint)
+        found = self._search(state, cell, [*inside, *waiting], overtakings, now, tries, now, hint)
         if found is None:
             search.line = None
             return self.orders.pop(cell, None) is not None
@@ -245,13 +243,11 @@ class WindowOrders:
         """The best order of these runs that is found with this number of tries; None if there is none. The
         search begins with the last order. A planner's order may be in force. The order is not kept in
         ``orders``."""
-        inside = [run for run in runs if run.has_started]
-        waiting = [run for run in runs if not run.has_started]
         found: OrderSuggested | None = None
         self._searches.setdefault(cell, CellSearch())
         for tried in range(0, max(1, tries), CYCLE):
             seed = now + tried * BREATH_NS  # each cycle draws other numbers, as at a later time
-            found = self._search(state, cell, inside, waiting, overtakings, now, min(tries, CYCLE), seed)
+            found = self._search(state, cell, runs, overtakings, now, min(tries, CYCLE), seed)
             if found is None:
                 return None
         return found
@@ -260,25 +256,25 @@ class WindowOrders:
         self,
         state: LabState,
         cell: str,
-        inside: Sequence[RunState],
-        waiting: Sequence[RunState],
+        runs: Sequence[RunState],
         overtakings: Callable[[RunId], float],
         now: int,
         tries: int,
         seed: int,
         hint: Sequence[RunId] = (),
     ) -> OrderSuggested | None:
-        plans = {run.plan for run in (*inside, *waiting)}
+        plans = {run.plan for run in runs}
         if len(plans) < 2 or not all(state.runs.plans[name].windowed for name in plans):
             return None  # a run without windows has to keep the margin of reservations
-        if any(run.experiment or (run.choices and not run.has_started) for run in (*inside, *waiting)):
+        if any(run.experiment or (run.choices and not run.has_started) for run in runs):
             return None  # the experiment's later runs, or the chosen modules, are not known
         ways = self._ways.setdefault(cell, Ways())
-        layout = lay_out_runs(state, cell, ways, [*inside, *waiting], now)
+        layout = lay_out_runs(state, cell, ways, runs, now)
         if layout is None:
             return None
-        for run in waiting:
-            layout.members[run.id].limit = max(0, math.ceil(self._patience - overtakings(run.id)))
+        for name, member in layout.members.items():
+            if not member.run.has_started:
+                member.limit = max(0, math.ceil(self._patience - overtakings(name)))
         found = self._searches[cell]
         known = [name for name in found.line or () if name in layout.members]
         new = [name for name in layout.members if name not in known]
@@ -333,7 +329,7 @@ class _Search:
     def __init__(self, layout: PlannedCell, seed: int, risk: int) -> None:
         self.layout = layout
         self.tries = 0
-        self._draws = _Draws(seed)
+        self._draws = ((number >> 11) / 2**53 for number in draw_numbers(seed))
         self._waiting = [n for n, member in layout.members.items() if not member.run.has_started]
         self._risk = risk / layout.slot
 
@@ -356,7 +352,7 @@ class _Search:
             other = self._try(self._vary(here.line), here)
             worse = other.value[1] - here.value[1]
             if other.value <= here.value or (
-                other.value[0] == here.value[0] and self._draws.next() < math.exp(-worse / heat)
+                other.value[0] == here.value[0] and next(self._draws) < math.exp(-worse / heat)
             ):
                 here = other
                 if other.value < best.value:
@@ -367,9 +363,9 @@ class _Search:
         """A similar order: one or two times, a run is moved or two runs are exchanged."""
         other, count, draws = list(line), len(line), self._draws
         while other == line:
-            for _ in range(1 if draws.next() < 0.8 else 2):
-                one, two = int(draws.next() * count), int(draws.next() * count)
-                if draws.next() < 0.65:
+            for _ in range(1 if next(draws) < 0.8 else 2):
+                one, two = int(next(draws) * count), int(next(draws) * count)
+                if next(draws) < 0.65:
                     other.insert(two, other.pop(one))
                 else:
                     other[one], other[two] = other[two], other[one]
@@ -429,17 +425,6 @@ def fit_behind(last: FittedRun, chain: Chain) -> FittedRun:
     table = table.copy()
     table.mark(chain, fit)
     return FittedRun(fit, table, conflicts, late)
-
-
-class _Draws:
-    """Pseudo-random numbers from 0 to 1. The same seed gives the same numbers."""
-
-    def __init__(self, seed: int) -> None:
-        self._at = seed
-
-    def next(self) -> float:
-        self._at = (self._at * 6364136223846793005 + 1442695040888963407) % 2**64
-        return (self._at >> 11) / 2**53
 
 
 # -- the order ---------------------------------------------------------------------------------------

@@ -36,8 +36,10 @@ KNOWN = (Carrying, Needs, Consumes)
 
 class StepChain(msgspec.Struct, frozen=True):
     """The main ``steps`` of a plan, by index, if they follow one another. ``least`` and ``most`` are the
-    shortest and the longest wait of the run before each of them (ns of wall time; None: no limit)."""
+    shortest and the longest wait of the run before each of them (ns of wall time; None: no limit).
+    ``lengths`` are the usual times of all steps of the plan (ns of wall time)."""
 
+    lengths: tuple[int, ...]
     steps: tuple[int, ...]
     least: tuple[int, ...]
     most: tuple[int | None, ...]
@@ -73,24 +75,20 @@ def lay_out_runs(
     """The runs of a workcell, inside and queued, as chains. None if a run is no chain, is held or cancelled,
     or has a step of unknown outcome."""
     lines: list[tuple[RunState, StepChain, tuple[Task, ...]]] = []
-    lengths: dict[RunId, dict[int, int]] = {}
     for run in runs:
         if run.has_started and (run.status != RunStatus.ACTIVE or find_holds(run)):
             return None
-        plan = state.runs.plan_of(run)
-        durations = {i: find_usual_time(state, plan.steps[i]) for i in range(len(plan.steps))}
-        line = _read_line(state, plan, durations)
+        line = _read_line(state, state.runs.plan_of(run))
         if line is None:
             return None
         lines.append((run, line, ways.read(state, run.plan)))
-        lengths[run.id] = durations
-    total = sum(lengths[run.id][step] for run, line, _ in lines for step in line.steps)
+    total = sum(line.lengths[step] for _, line, _ in lines for step in line.steps)
     total += sum(sum(line.least) for _, line, _ in lines)
-    slot = _choose_slot(state, [t for each in lengths.values() for t in each.values()], total)
+    slot = _choose_slot(state, [time for _, line, _ in lines for time in line.lengths], total)
     flying = {(a.run, a.step): a for a in state.actions.list_in_cell(cell)}
     members: dict[RunId, PlannedRun] = {}
     for run, line, tasks in lines:
-        member = _make_member(state, run, line, tasks, ways, lengths[run.id], slot, now, flying)
+        member = _make_member(state, run, line, tasks, ways, slot, now, flying)
         if member is None:
             return None
         members[run.id] = member
@@ -109,11 +107,12 @@ def lay_out_runs(
     return PlannedCell(dict(sorted(members.items(), key=lambda item: item[1].run.position)), table, slot, now)
 
 
-def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepChain | None:
+def _read_line(state: LabState, plan: Plan) -> StepChain | None:
     """The main steps of a plan as a chain. None if they do not follow one another, if a window counts from
     another run, if the windows contradict one another, or if the timetable cannot represent the plan."""
     if plan.holds or any(not isinstance(effect, KNOWN) for step in plan.steps for effect in step.effects):
         return None  # doors, setpoints and the like are not in the timetable
+    lengths = tuple(find_usual_time(state, step) for step in plan.steps)
     steps = [i for i, step in enumerate(plan.steps) if step.part == MAIN]
     place = {step: number for number, step in enumerate(steps)}
     spans: list[WaitSpan] = []
@@ -125,13 +124,13 @@ def _read_line(state: LabState, plan: Plan, durations: dict[int, int]) -> StepCh
             if window.anchor is None or place.get(window.anchor, number) >= number:
                 return None
             first = place[window.anchor] + 1
-            between = sum(durations[i] for i in steps[first:number])
+            between = sum(lengths[i] for i in steps[first:number])
             # If the steps in a window last longer than the window, its last step follows at once.
             left = None if window.within_s is None else convert_lab_s(state, window.within_s) - between
             limit = None if left is None else max(0, left)
             spans.append(WaitSpan(first, number, convert_lab_s(state, window.wait_s) - between, limit))
     waits = share_waits(len(steps), spans)
-    return None if waits is None else StepChain(tuple(steps), *waits)
+    return None if waits is None else StepChain(lengths, tuple(steps), *waits)
 
 
 def _choose_slot(state: LabState, lengths: Iterable[int], total: int) -> int:
@@ -157,7 +156,6 @@ def _make_member(
     line: StepChain,
     tasks: tuple[Task, ...],
     ways: Ways,
-    durations: dict[int, int],
     slot: int,
     now: int,
     flying: dict[tuple[RunId, int], Action],
@@ -179,7 +177,7 @@ def _make_member(
         action = flying.get((run.id, index))
         if status != IN_FLIGHT or action is None or action.status == ActionStatus.UNKNOWN:
             return None
-        end = max(now, action.requested_at + durations[index])
+        end = max(now, action.requested_at + line.lengths[index])
         in_progress = tasks[index].takes
     if statuses:
         if any(statuses[index] != PENDING for index in line.steps[first:]):
@@ -197,8 +195,8 @@ def _make_member(
         index = line.steps[number]
         task = tasks[index]
         least, most = line.least[number], line.most[number]
-        if statuses:
-            least, most = _since_clocks(state, run, plan, line, number, first, durations, end, least, most)
+        if statuses and number == first:
+            least, most = _since_clocks(state, run, plan, line, first, end)
         takes = dict.fromkeys(k for k in (*task.takes, *task.gets) if ways.room[k] == 1)
         holds = tuple(key for key, count in held.items() if count > 0 and ways.room[key] == 1)
         wait = _count_slots(least, slot)
@@ -207,7 +205,7 @@ def _make_member(
             Leg(
                 tuple(k for k in takes if k not in holds),
                 holds,
-                max(1, _count_slots(durations[index], slot)),
+                max(1, _count_slots(line.lengths[index], slot)),
                 wait,
                 longest,
             )
@@ -250,17 +248,11 @@ def _since_clocks(
     run: RunState,
     plan: Plan,
     line: StepChain,
-    number: int,
     first: int,
-    durations: dict[int, int],
     end: int,
-    least: int,
-    most: int | None,
 ) -> tuple[int, int | None]:
-    """The shortest and the longest wait of a run before a step (ns; None: no limit). For its ``first`` step
-    that has not started, they follow from the clocks that run at ``end``. For later steps, they are given."""
-    if number != first:
-        return least, most
+    """The shortest and the longest wait of a run before its ``first`` step that has not started (ns; None: no
+    limit). They follow from the clocks that run at ``end``."""
     least, most = 0, None
     for later in range(first, len(line.steps)):
         for window in plan.steps[line.steps[later]].windows:
@@ -271,7 +263,7 @@ def _since_clocks(
                 ended = end
             if ended is None or anchor >= first or run.is_breached(line.steps[later]):
                 continue
-            between = sum(durations[i] for i in line.steps[first:later])
+            between = sum(line.lengths[i] for i in line.steps[first:later])
             behind = slice(first + 1, later + 1)
             waits = sum(line.least[behind])
             least = max(least, ended + convert_lab_s(state, window.wait_s) - between - waits - end)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from labos.core.branches import sort_by_predecessors
 from labos.core.model import Plan
 from labos.core.state import LabState
 
@@ -35,17 +36,10 @@ class WorkBehind:
 
 
 def _measure_longest_ways(plan: Plan) -> tuple[float, ...]:
-    found = [step.duration_s for step in plan.steps]
-    followers: dict[int, list[int]] = {}
-    for index, step in enumerate(plan.steps):
-        for before in step.after:
-            followers.setdefault(before, []).append(index)
-    left = set(range(len(found)))
-    while left:
-        ready = [index for index in left if left.isdisjoint(followers.get(index, ()))]
-        for index in ready:
-            found[index] += max((found[other] for other in followers.get(index, ())), default=0.0)
-        left.difference_update(ready)
-        if not ready:
-            break
+    found = [0.0 for _ in plan.steps]
+    behind = list(found)
+    for index in reversed(sort_by_predecessors({i: step.after for i, step in enumerate(plan.steps)})):
+        found[index] = plan.steps[index].duration_s + behind[index]
+        for before in plan.steps[index].after:
+            behind[before] = max(behind[before], found[index])
     return tuple(found)

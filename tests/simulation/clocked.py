@@ -24,7 +24,6 @@ from labos.core.state import LabState
 from labos.core.steps import WindowBreached
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
-from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler, list_ready_steps
 from tests.support.bench import (
     SECOND,
@@ -282,12 +281,12 @@ class Life:
 def careless() -> Scheduler:
     """Planning that leaves no room for anybody; deadlines still decide who goes first."""
     scheduler = Scheduler()
-    scheduler.reservations = _Careless()
+    scheduler.reservations = _Careless(scheduler.safety, {})
     return scheduler
 
 
 class _Careless(Reservations):
-    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         return None
 
 

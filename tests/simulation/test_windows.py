@@ -15,7 +15,6 @@ from labos.core.state import LabState
 from labos.core.topics import LateStep
 from labos.core.waits import Wait
 from labos.planning.reservations import Reservations
-from labos.planning.safety import Safety
 from labos.planning.scheduler import Scheduler, make_searching_scheduler
 from labos.testing.faults import QUIET, STORMY, FaultRates
 from labos.testing.lab import Job, SimulatedLab
@@ -32,14 +31,14 @@ TWO_DAYS_S = 2 * 24 * 3600.0
 class _Careless(Reservations):
     """Leaves no room for anybody."""
 
-    def check_start(self, state: LabState, run: RunState, step: int, now: int, safety: Safety) -> Wait | None:
+    def check_start(self, state: LabState, run: RunState, step: int, now: int) -> Wait | None:
         return None
 
 
 def careless() -> Scheduler:
     """Planning with reservations switched off; deadlines still decide who goes first."""
     scheduler = Scheduler()
-    scheduler.reservations = _Careless()
+    scheduler.reservations = _Careless(scheduler.safety, {})
     return scheduler
 
 

@@ -33,7 +33,7 @@ class Listening(Scheduler):
     ) -> Wait | None:
         wait = super().check_start(state, run, step, now, only_asking=only_asking, at_once=at_once)
         if wait is not None and run is not None and wait.code == "reserved":
-            begins = self.reservations.windows.find_planned_start(state, run, step, now, self.safety)
+            begins = self.reservations.windows.find_planned_start(state, run, step, now)
             self.planned += now < begins < FAR
             if now < begins < FAR and (wait.until is None or wait.until > begins):
                 self.beyond.append((run.id, step))

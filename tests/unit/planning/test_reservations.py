@@ -134,7 +134,7 @@ def test_nothing_is_held_after_the_deadline() -> None:
     lab.now += 1
     assert lab.pump() == [f"{run}#0"]
     assert "window.breached" in lab.types()
-    assert lab.scheduler.reservations.list_open(lab.state, lab.now) == []
+    assert lab.scheduler.reservations.list_open(lab.state, lab.now, "cell") == []
 
 
 @pytest.mark.parametrize("how", ["paused", "cancelling", "its module is down"])
@@ -155,7 +155,7 @@ def test_nothing_is_held_for_a_run_that_cannot_go_on(how: str) -> None:
         lab.do(CancelRun(lab.run(run).id))
     else:
         lab.do(TakeOut(ModuleName("cell/cam"), "service"))
-    assert lab.scheduler.reservations.list_open(lab.state, lab.now) == []
+    assert lab.scheduler.reservations.list_open(lab.state, lab.now, "cell") == []
     assert lab.pump() == ([] if how == "its module is down" else ["R2#0"])
 
 
@@ -469,7 +469,7 @@ def test_no_room_is_kept_for_a_run_that_could_not_reach_its_end_anyway() -> None
     assert code(lab, lab.submit(stranger)) == "reserved"
     lab.step(lab.submit(plan(step("arm2", take("stack", "c"))), user="eve"))
     assert code(lab, run) == "no_way_out"
-    assert len(lab.scheduler.reservations.list_open(lab.state, lab.now)) == 1
+    assert len(lab.scheduler.reservations.list_open(lab.state, lab.now, "cell")) == 1
     assert code(lab, lab.submit(stranger)) == ""
 
 
@@ -561,7 +561,7 @@ def test_a_clock_is_not_started_while_what_is_in_flight_lasts_too_long() -> None
 def test_without_an_end_a_window_reserves_nothing() -> None:
     lab = small()
     start_clock(lab, within=None)
-    assert lab.scheduler.reservations.list_open(lab.state, lab.now) == []
+    assert lab.scheduler.reservations.list_open(lab.state, lab.now, "cell") == []
     assert code(lab, lab.submit(picture(1000.0))) == ""
 
 
@@ -582,7 +582,7 @@ def cost(queued: int) -> tuple[int, int]:
     """Runs looked at for reservations, and evaluations, while ten actions end."""
     lab = small()
     lab.careful = False
-    counting = lab.scheduler.reservations = Counting()
+    counting = lab.scheduler.reservations = Counting(lab.scheduler.safety, {})
     start_clock(lab, read(500.0, 600.0))
     for number in range(queued):
         lab.submit(plan(step("cam", duration_s=20.0), name="short"), user=f"u{number % 2}")
