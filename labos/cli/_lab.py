@@ -1,4 +1,4 @@
-"""Finds a workcell file, and a lab to use: the running one, or a lab for this command only."""
+"""Finds a spec by its path or name, and a lab to use: the running one, or a lab for this command only."""
 
 from __future__ import annotations
 
@@ -34,6 +34,23 @@ def find_workcell_file(name: str) -> Path:
     from labos.spec.library import find_spec
 
     return find_spec("workcells", name)
+
+
+def find_spec_path(kind: str, name: str) -> Path:
+    """The file at this path if there is one, else the packaged spec of that name. Raises NotFound."""
+    from labos.spec import find_spec, list_specs
+
+    path = Path(name)
+    if path.is_file():
+        return path
+    try:
+        return find_spec(kind, name)
+    except NotFound:
+        known = ", ".join(list_specs(kind))
+        raise NotFound(
+            f"There is neither a file nor a packaged {kind.removesuffix('s')} {name!r}.",
+            remedy=f"Packaged are: {known}.",
+        ) from None
 
 
 def read_workcell(name: str, workflows: Sequence[Source] | None = None) -> CompiledWorkcell:

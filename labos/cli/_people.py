@@ -1,7 +1,8 @@
-"""Code that the commands about users, groups and roles share."""
+"""Code that the commands about users, groups, roles and signing in share."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -54,3 +55,11 @@ def subject_of(name: str) -> str:
 def describe_roles(roles: Mapping[str, str]) -> str:
     """``operator in rpl, submitter``: a role without a workcell is valid in the whole lab."""
     return ", ".join(role if scope == WHOLE_LAB else f"{role} in {scope}" for scope, role in roles.items())
+
+
+def ask_password(words: str, *, twice: bool = False) -> str:
+    """A password, typed without an echo on a terminal, else the first line of standard input. It is never an
+    option: all users of this computer can read the arguments of a command."""
+    if sys.stdin.isatty():
+        return str(click.prompt(words, hide_input=True, confirmation_prompt=twice))
+    return sys.stdin.readline().rstrip("\r\n")

@@ -145,8 +145,9 @@ _ONE_FILE = {
     **dict.fromkeys(("observe", "give"), "_bench"),
     **dict.fromkeys(("do", "reset", "home"), "do"),
     **dict.fromkeys(("inbox", "confirm"), "inbox"),
-    **dict.fromkeys(("approvals", "approve", "refuse"), "approvals"),
+    **dict.fromkeys(("approvals", "approve", "refuse", "policy"), "approvals"),
     **dict.fromkeys(("teach", "locations"), "teach"),
+    **dict.fromkeys(("bookings", "calendar"), "calendar"),
     **dict.fromkeys(("login", "logout", "whoami"), "login"),
 }
 """Commands too small for a module of their own."""

@@ -1,5 +1,5 @@
-"""``labos approvals``, ``labos approve`` and ``labos refuse``: submissions that wait for an operator's
-approval."""
+"""``labos approvals``, ``approve`` and ``refuse``: submissions that wait for an operator's approval; and
+``labos policy``: which ones do."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from labos.cli._forecast import show_campaign, show_change, show_ways
 from labos.cli._options import Asker, asker_options, lab_and_json, why_option
 from labos.cli._out import end_with_json, report_done, show_table, wants_json
 from labos.cli._terms import as_seconds, consumable_option
+from labos.cli.shares import read_file
 from labos.errors import LabosError
 from labos.services.times import show_span, show_time
 
@@ -208,7 +209,31 @@ def refuse(subject: str, why: str, asker: Asker) -> None:
     report_done(f"{subject} is refused.", facts)
 
 
-def policy_lines(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
+@click.command("policy", short_help="Show or set which submissions need an approval.")
+@click.option("--apply", "file", metavar="FILE", help="Set the policy from this file.")
+@asker_options
+def policy(file: str | None, asker: Asker) -> None:
+    """Show or set the policy: which submissions need an operator's approval, who may approve, the highest
+    allowed priority, and what users without the role operator may book.
+
+    Without a policy, only submissions of programs need an approval.
+
+    \b
+    labos policy                        the policy in force
+    labos policy --apply policy.yaml    set the policy from a file
+    labos approvals                     requests that wait
+    """
+    with asker.lab() as client:
+        if file is not None:
+            client.apply_policy(read_file(file), file, asker.user)
+        answer = client.policy()
+    end_with_json(answer)
+    if not answer["applied"]:
+        click.echo("No policy was set. These are the defaults.")
+    show_table(("what", "says"), list(_describe_policy(answer["policy"])))
+
+
+def _describe_policy(policy: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """A policy in words."""
     above = policy["above"]
     budget = [

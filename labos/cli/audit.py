@@ -54,7 +54,7 @@ def project(where: Where, follow: bool, every: float) -> None:
         os.nice(CALM)
     with open_projector(where) as (_, database, projector):
         position = projector.catch_up(show_progress)
-        _report_position(where, position, database.name)
+        _report_position(position, database.name)
         ended = threading.Event()
         while follow:
             try:
@@ -70,7 +70,7 @@ def rebuild(where: Where) -> None:
     """Delete the tables and build them again from the log."""
     with open_projector(where) as (_, database, projector):
         database.reset()
-        _report_position(where, projector.catch_up(show_progress), database.name)
+        _report_position(projector.catch_up(show_progress), database.name)
 
 
 @command.command("status")
@@ -113,5 +113,5 @@ def reader(where: Where, role: str) -> None:
     click.echo(f"{role} may read the views (schema labos) and nothing else of LabOS.")
 
 
-def _report_position(where: Where, position: int, name: str) -> None:
+def _report_position(position: int, name: str) -> None:
     report_done(f"The {name} is at event {position}.", {"database": name, "position": position})

@@ -1,4 +1,4 @@
-"""``labos calendar``: the booked times, as a week or for calendar programs."""
+"""``labos bookings`` and ``labos calendar``: bookings as a list, as a week or for calendar programs."""
 
 from __future__ import annotations
 
@@ -9,6 +9,25 @@ from labos.cli._options import Asker, lab_and_json
 from labos.cli._out import end_with_json, show_lines
 
 DAYS = 7
+
+
+@click.command("bookings", short_help="List bookings.")
+@click.argument("target", required=False, default="", shell_complete=make_completer("module"))
+@lab_and_json
+def bookings(target: str, asker: Asker) -> None:
+    """List current and future bookings, each with its next time: all, or those of TARGET, a module or a
+    workcell.
+
+    \b
+    labos bookings
+    labos bookings ot2_pcr_alpha
+    """
+    from labos.cli._bookings import show_bookings
+
+    with asker.lab() as client:
+        found = client.bookings(target)
+    end_with_json(found)
+    show_bookings(found)
 
 
 @click.command("calendar", short_help="Show the bookings of a week.")
@@ -22,7 +41,7 @@ DAYS = 7
 @click.option("--zone", metavar="NAME", help="The time zone; this computer's if not given.")
 @click.option("--ical", is_flag=True, help="Print all bookings as iCalendar, for calendar programs.")
 @lab_and_json
-def command(target: str, day: str | None, days: int, zone: str | None, ical: bool, asker: Asker) -> None:
+def calendar(target: str, day: str | None, days: int, zone: str | None, ical: bool, asker: Asker) -> None:
     """Show the bookings of a week from Monday on: one bar of 24 hours for each (#: booked, m: maintenance).
 
     \b

@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from labos.cli._options import SPEED_HELP, database_option
+from labos.cli._out import show_table
 from labos.core.ids import local
 from labos.errors import BadInput, LabosError
 from labos.private import make_folder
+from labos.services.summary import RunSummary, Summary, summarise
+from labos.services.times import show_span
 from labos.settings import Settings, keep_private
 
 if TYPE_CHECKING:
@@ -28,6 +31,8 @@ APPLICATION_END_S = 10.0
 
 SPEED = 400.0
 """Two PCRs take four hours of lab time, one after the other in the same thermocycler."""
+
+WAITS_SHOWN = 2
 
 
 @click.command("demo")
@@ -179,8 +184,6 @@ def _show_live(url: str, over: threading.Event) -> None:
 
 def _show_account(settings: Settings, results: list[RunResult]) -> None:
     """The statistics of the lab, computed from its log alone; and commands to try next."""
-    from labos.cli._summary import show_summary
-    from labos.services.summary import summarise
     from labos.store import open_store
 
     with closing(open_store(settings.database, create=False, read_only=True)) as store:
@@ -199,6 +202,67 @@ def _show_account(settings: Settings, results: list[RunResult]) -> None:
         f"labos up --home {home}",
     ):
         click.echo(f"  {ask}")
+
+
+def show_summary(summary: Summary) -> None:
+    """Print runs, modules, users and the time without human intervention."""
+    fast = summary.pace != 1
+    columns = [
+        "run",
+        "workflow",
+        "user",
+        "status",
+        "steps",
+        "wall",
+        "working",
+        "waiting",
+        "queued",
+        "waited for",
+    ]
+    if fast:
+        columns.insert(6, "lab time")
+    show_table(columns, [_list_run_cells(run, fast) for run in summary.runs], title="Runs")
+    rows = [
+        (
+            local(m.name),
+            f"{m.utilisation:.0%}",
+            str(m.actions),
+            str(m.failed),
+            str(m.unknown),
+            show_span(m.busy_s),
+        )
+        for m in summary.modules
+    ]
+    show_table(("module", "in use", "actions", "failed", "unknown", "busy"), rows, title="Modules", gap=True)
+    users = [
+        (u.name, f"{u.completed} of {u.runs}", str(u.actions), show_span(u.lab_s if fast else u.module_s))
+        for u in summary.users
+    ]
+    show_table(("user", "runs completed", "actions", "module time"), users, title="Users", gap=True)
+    click.echo(f"\n{describe_summary(summary)}")
+
+
+def describe_summary(summary: Summary) -> str:
+    """Time without human intervention in one sentence."""
+    twh = summary.twh.lab
+    longest = twh.longest.worked_ns / 1e9
+    lab_time = f" ({show_span(longest * summary.pace)} of lab time)" if summary.pace != 1 else ""
+    times = "no intervention" if not twh.interventions else f"{twh.interventions} interventions"
+    if twh.interventions == 1:
+        times = "one intervention"
+    return (
+        f"Longest time without human intervention: {show_span(longest)}{lab_time}, "
+        f"{twh.longest.commands} actions completed in it; {times} in all."
+    )
+
+
+def _list_run_cells(run: RunSummary, fast: bool) -> list[str]:
+    waited = "; ".join(f"{wait.why} ({show_span(wait.seconds)})" for wait in run.waits[:WAITS_SHOWN])
+    row = [run.id, run.workflow, run.user, run.status, f"{run.done}/{run.steps}", show_span(run.wall_s)]
+    if fast:
+        row.append(show_span(run.lab_s))
+    spans = [show_span(seconds) for seconds in (run.working_s, run.waiting_s, run.queued_s)]
+    return [*row, *spans, run.why or waited]
 
 
 def _cut_path(folder: Path) -> str:

@@ -36,7 +36,7 @@ def add(name: str, asker: Asker) -> None:
     """Add a group with weight 1 and without members."""
     with asker.lab() as client:
         client.add_group(name, asker.user)
-        _show_group(client.groups(), name, asker)
+        _show_group(client.groups(), name)
 
 
 @command.command("remove")
@@ -81,7 +81,7 @@ def add_member(name: str, member: str, asker: Asker) -> None:
     """Add a user to a group. The user gets the group's share of the lab and its roles."""
     with asker.lab() as client:
         client.add_member(name, member, asker.user)
-        _show_group(client.groups(), name, asker)
+        _show_group(client.groups(), name)
 
 
 @members.command("remove")
@@ -92,8 +92,8 @@ def remove_member(name: str, member: str, asker: Asker) -> None:
     """Remove a user from a group."""
     with asker.lab() as client:
         client.remove_member(name, member, asker.user)
-        _show_group(client.groups(), name, asker)
+        _show_group(client.groups(), name)
 
 
-def _show_group(groups: list[dict[str, Any]], name: str, asker: Asker) -> None:
+def _show_group(groups: list[dict[str, Any]], name: str) -> None:
     end_with_json(next(group for group in groups if group["name"] == name))

@@ -10,7 +10,7 @@ import click
 
 from labos.cli._options import Asker, find_user, home_option, json_option, lab_and_json
 from labos.cli._out import end_with_json, report_done
-from labos.cli._secret import ask_password
+from labos.cli._people import ask_password
 from labos.errors import NotFound, NotSignedIn
 from labos.services.times import iso_time
 from labos.settings import check_url

@@ -149,7 +149,7 @@ def command(where: Where, workflow: str, workcell: str, payloads: tuple[str, ...
     the workflow has errors.
     """
     from labos.bootstrap import descriptions
-    from labos.cli._specs import find_spec_path
+    from labos.cli._lab import find_spec_path
     from labos.planning.certified import check_windows
     from labos.spec import compile_workflow, load_workcell, read_workflow
     from labos.spec.uses import read_uses

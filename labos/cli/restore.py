@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -11,15 +13,18 @@ import msgspec
 
 from labos.cli._options import file_option
 from labos.cli._out import end_with_json
-from labos.cli._query import Where, folder_and_json, now_ns, open_database
-from labos.cli._rehearse import rehearse
+from labos.cli._query import Where, folder_and_json, name_own_database, now_ns, open_database
 from labos.cli.backup import archive_option, key_option
 from labos.core.ids import LabId
 from labos.core.state import hash_state
+from labos.core.structs import make_from
 from labos.core.words import Kept
-from labos.errors import LogDamaged
+from labos.errors import LabosError, LogDamaged
 from labos.ports import StoredWords
+from labos.private import replace_file
+from labos.services.doctor import REHEARSAL
 from labos.services.log import fold_to
+from labos.services.times import show_time
 from labos.settings import KernelInfo, announce, last_kernel
 from labos.store import (
     ERASURES,
@@ -57,6 +62,22 @@ class Restored(msgspec.Struct, frozen=True):
     database: str
     recorded_at: int = 0
     users: int = 0
+
+
+class RestoreRehearsal(msgspec.Struct, frozen=True):
+    """The result: ``took_s`` seconds for everything; ``behind`` events of the lab's log are not in the backup
+    (None: there is no log to compare with, ``compared`` says why)."""
+
+    lab: LabId
+    folder: str
+    position: int
+    hash: str
+    state: str
+    blobs: int
+    took_s: float
+    at: int
+    behind: int | None
+    compared: str
 
 
 @click.command("restore", short_help="Put a backup into an empty database.")
@@ -114,13 +135,7 @@ def command(
     if scratch is not None and not is_rehearsal:
         raise click.UsageError("--scratch needs --rehearse.")
     if is_rehearsal:
-        known = _with_own(lists, where)
-
-        def try_it(place: Where) -> Restored:
-            own = FolderBlobs(place.home / "blobs")  # the folder where the lab stores its own
-            return put_back(place, folder, key, own, known, archive)
-
-        rehearse(where, folder, try_it, scratch)
+        _rehearse(where, folder, key, _with_own(lists, where), archive, scratch)
         return
     # The note in the home folder must be valid from every working directory.
     done = put_back(Where(where.home.absolute(), where.database), folder, key, lists=lists, archive=archive)
@@ -213,3 +228,61 @@ def _drop_erased(words: Iterable[StoredWords], gone: Mapping[str, int]) -> Itera
         name = each.words.reference
         is_gone = name in gone
         yield StoredWords(Kept(name, b"", ""), each.position, gone[name]) if is_gone else each
+
+
+def _rehearse(
+    where: Where, folder: Path, key: bytes, lists: Sequence[Path], archive: Path | None, scratch: Path | None
+) -> None:
+    """Restore a backup into a temporary folder, compare it with the lab's log, and note the rehearsal in the
+    lab's folder. Raises what ``put_back`` raises, LogDamaged for the backup of another log."""
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="labos-rehearsal-", dir=scratch) as there:
+        home = Path(there) / "lab"
+        home.mkdir(0o700)
+        own = FolderBlobs(home / "blobs")  # the folder where the lab stores its own
+        done = put_back(Where(home, name_own_database(home)), folder, key, own, lists, archive)
+    behind, compared = _compare(where, done)
+    found = make_from(
+        RestoreRehearsal,
+        done,
+        folder=str(folder.absolute()),
+        took_s=round(time.monotonic() - began, 3),
+        at=now_ns(),
+        behind=behind,
+        compared=compared,
+    )
+    if where.home.is_dir():
+        replace_file(where.home / REHEARSAL, msgspec.json.encode(found) + b"\n")
+    end_with_json(found)
+    click.echo(
+        f"The backup can be restored: {found.position} events up to {show_time(done.recorded_at)}, "
+        f"{found.blobs} "
+        f"blobs; chain, fold and state agree. It took {found.took_s:.1f} s."
+    )
+    click.echo(compared)
+
+
+def _compare(where: Where, done: Restored) -> tuple[int | None, str]:
+    """How many events of the lab's log are not in the backup."""
+    try:
+        with open_database(where) as store:
+            head = store.head()
+            record = next(store.read(done.position - 1, done.position), None)
+    except LabosError as error:
+        return None, f"It was not compared with a log: {error.message}"
+    if not head.position:
+        return None, "It was not compared with a log: there is none in this lab's folder."
+    if record is None or record.hash.hex() != done.hash:
+        raise LogDamaged(
+            f"The backup is intact, but belongs to another log than that of {where.home}: they "
+            "differ at position "
+            f"{done.position} or before.",
+            position=done.position,
+            remedy="Name the folder of this lab's backup, or find the change: labos verify",
+        )
+    behind = head.position - done.position
+    if not behind:
+        return 0, "The backup contains all events of the lab's log."
+    return behind, (
+        f"A restore would lose {behind} events, recorded since {show_time(done.recorded_at)}: labos backup"
+    )

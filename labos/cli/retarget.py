@@ -8,10 +8,10 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._lab import find_spec_path
 from labos.cli._options import file_option, json_option
 from labos.cli._out import end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
-from labos.cli._specs import find_spec_path
 from labos.cli.validate import examine
 from labos.errors import BadInput, SpecError
 from labos.spec import compile_workcell

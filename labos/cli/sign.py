@@ -11,8 +11,8 @@ from labos.cli._complete import make_completer
 from labos.cli._lab import need_lab_of
 from labos.cli._options import why_option
 from labos.cli._out import end_with_json, report_done
+from labos.cli._people import ask_password
 from labos.cli._query import Where, log_and_json, open_log
-from labos.cli._secret import ask_password
 from labos.core.signatures import MEANINGS
 from labos.errors import BadInput
 from labos.services.signatures import Signature, find_kind, list_signatures

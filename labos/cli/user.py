@@ -9,8 +9,14 @@ import click
 from labos.cli._group import Suggesting
 from labos.cli._options import Asker, asker_options, lab_and_json
 from labos.cli._out import end_with_json, report_done, show_json, show_table, wants_json
-from labos.cli._people import describe_roles, lab_or_its_folder, role_choice, scope_of, workcell_option
-from labos.cli._secret import ask_password
+from labos.cli._people import (
+    ask_password,
+    describe_roles,
+    lab_or_its_folder,
+    role_choice,
+    scope_of,
+    workcell_option,
+)
 from labos.services.times import show_time
 
 _id = click.argument("name", metavar="ID")

@@ -9,10 +9,10 @@ import click
 import msgspec
 
 from labos.cli._complete import make_completer
+from labos.cli._lab import find_spec_path
 from labos.cli._out import count_each, end_with_json, show_lines, show_table
 from labos.cli._payload import payload_option, read_payload
 from labos.cli._query import Where, log_and_json
-from labos.cli._specs import find_spec_path
 from labos.client import LabClient
 from labos.core.ids import StationName, local
 from labos.core.model import MAIN

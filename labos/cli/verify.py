@@ -13,17 +13,19 @@ import msgspec
 from labos.cli._options import file_option, folder_option
 from labos.cli._out import end_with_json, show_lines, wants_json
 from labos.cli._query import Where, folder_and_json, open_database
-from labos.cli._signed import compare_signed, trust_of, verify_bundle
 from labos.cli._verify_backup import check_backup
 from labos.cli.backup import archive_option, key_option
 from labos.core.seals import add_seal, check_seal
-from labos.errors import LabosError
+from labos.errors import BadInput, LabosError
 from labos.node.journal import Memory
 from labos.private import create_file
 from labos.services.checkpoint import Checkpoint, find_contradiction, make_checkpoint, read_checkpoint
 from labos.services.journals import Surplus, list_surplus
+from labos.services.log import Log
 from labos.services.signatures import check_signatures
-from labos.services.trust.compare import CheckpointComparison, is_signed
+from labos.services.trust.compare import CheckpointComparison, compare, is_signed, read_tree_heads
+from labos.services.trust.keys import SigningKeys, TrustedKeys, read_given_keys
+from labos.services.trust.proof import Trust, prove_bundle
 from labos.services.verification import (
     VerifiedPart,
     check_benches,
@@ -126,7 +128,7 @@ def command(
     if archive is not None and (folder is None or detached):
         raise click.UsageError("--archive needs --backup FOLDER, and cannot be combined with --detached.")
     if bundle is not None:
-        verify_bundle(bundle, trust_of(where.home, public_keys, witness_keys, tsa))
+        _verify_bundle(bundle, _trust_of(where.home, public_keys, witness_keys, tsa))
         return
     key = key_of(key_file) if key_file else b""
     if export and file is not None and is_signed(file):
@@ -203,7 +205,7 @@ def _verify_log(
             found.damage = find_first_damage(store, progress)
         if found.damage is None:
             if signed is not None:
-                found.signed = compare_signed(store, signed, where.home, public_keys)
+                found.signed = _compare_signed(store, signed, where.home, public_keys)
             found.parts = _list_other_parts(where, store)
         found.fault = _find_fault(store, found, key)
         if nodes and not found.fault:
@@ -284,6 +286,39 @@ def _report_log(found: VerifiedLog, written: Path | None) -> None:
         count = found.signed.number
         number = "the signed checkpoint" if count == 1 else f"{count} signed checkpoints"
         click.echo(f"It agrees with {number}, up to position {found.signed.agrees_to}.")
+
+
+def _trust_of(
+    home: Path, public_keys: Sequence[str], witnesses: Sequence[str] = (), tsa: Path | None = None
+) -> Trust:
+    """The given keys, else the lab's own. Raises BadInput if there are none."""
+    keys = read_given_keys(public_keys) or SigningKeys(home).list_public_keys()
+    if not keys:
+        raise BadInput(
+            "No public key was given to check the signatures.",
+            remedy="Give --public-key FILE. The lab prints it with labos key show.",
+        )
+    return Trust(tuple(keys), tuple(read_given_keys(witnesses)), tsa)
+
+
+def _compare_signed(log: Log, path: Path, home: Path, public_keys: Sequence[str]) -> CheckpointComparison:
+    """Compare the log with the signed checkpoints in a file or folder. Raises BadInput, LogDamaged."""
+    trust = _trust_of(home, public_keys)
+    trusted = TrustedKeys(trust.keys, SigningKeys(home).read_rotations())
+    return compare(log, read_tree_heads(path, trusted))
+
+
+def _verify_bundle(file: Path, trust: Trust) -> None:
+    """Check a bundle and report the result; exit code 1 if anything is wrong."""
+    found = prove_bundle(file, trust)
+    facts = {"whole": not found.faults, "fault": next(iter(found.faults), ""), "bundle": found}
+    end_with_json(facts, int(bool(found.faults)))
+    for part in found.parts:
+        show_lines(part.faults or (part.result,))
+    if found.faults:
+        click.echo(f"The bundle does not prove the {found.kind} {found.subject}.")
+        click.get_current_context().exit(1)
+    click.echo(f"The bundle proves the {found.kind} {found.subject} of the lab {found.lab}.")
 
 
 def _write(file: Path, end: Checkpoint) -> None:

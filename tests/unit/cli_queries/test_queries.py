@@ -18,8 +18,8 @@ import pytest
 from click.testing import CliRunner
 
 from labos.cli._out import show_table
-from labos.cli._summary import show_summary
 from labos.cli.app import main
+from labos.cli.demo import show_summary
 from labos.core.ids import InterventionId, LabwareId, ModuleName, RunId
 from labos.core.interventions import (
     InterventionOverdue,
