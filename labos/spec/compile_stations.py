@@ -12,11 +12,10 @@ from labos.core.ids import ModuleName, StationName, local, split_place, split_wr
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.core.structs import make_from
 from labos.errors import SpecError
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.kinds import warn_of_unknown
 from labos.spec.labware import load_packaged_labware
 from labos.spec.models import LabwareType, StationEntry, WorkcellFile
-from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations, strip_place
 
 WASTE = ("trash", "waste")

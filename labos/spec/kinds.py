@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from labos.core.bench import split_item
-from labos.spec.findings import suggest_similar
+from labos.spec.findings import Remarks, suggest_similar
 from labos.spec.models import ANY, WorkcellFile
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
 

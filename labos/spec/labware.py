@@ -10,10 +10,9 @@ from labos.core.model import LabwareSpec, WellGrid
 from labos.core.structs import make_from
 from labos.errors import SpecError
 from labos.spec.dialects import convert_labware, find_kind
-from labos.spec.findings import FindingList, make_finding
+from labos.spec.findings import FindingList, Remarks, make_finding
 from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import ANY, LabwareFile, LabwareType
-from labos.spec.remarks import Remarks
 from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
 from labos.spec.validation import expect_valid, validate
 

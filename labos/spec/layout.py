@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
-from labos.spec.findings import FindingList, suggest_name
+from labos.spec.findings import FindingList, Remarks, suggest_name
 from labos.spec.models import StepEntry
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 
 

@@ -45,13 +45,12 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import make_finding, suggest_name
+from labos.spec.findings import Remarks, make_finding, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, find_result
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps

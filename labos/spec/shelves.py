@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from labos.spec.findings import Remarks
 from labos.spec.models import PoseEntry, ShelfPoses, WorkcellFile
-from labos.spec.remarks import Remarks
 
 
 def expand_shelves(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:

@@ -16,12 +16,11 @@ from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, make_finding
+from labos.spec.findings import FindingList, Remarks, make_finding
 from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
 from labos.spec.references import fill, has_key, list_keys
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
 from labos.spec.validation import validate

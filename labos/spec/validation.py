@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import MOST, FindingList, SpecErrors, suggest_name
+from labos.spec.findings import MOST, FindingList, Remarks, SpecErrors, suggest_name
 from labos.spec.mismatch import describe_mismatch
-from labos.spec.remarks import Remarks
 from labos.spec.source import Source, make_plain
 
 M = TypeVar("M", bound=BaseModel)

@@ -20,7 +20,7 @@ from labos.spec.compile_stations import compile_stations
 from labos.spec.defaults import make_setup, retry_of
 from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
-from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, suggest_name
+from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, make_finding, suggest_name
 from labos.spec.flaws import find_first_flaw
 from labos.spec.interfaces import (
     NATIVE,
@@ -32,7 +32,6 @@ from labos.spec.interfaces import (
 )
 from labos.spec.labware import load_packaged_labware, make_spec, read_own_labware
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
-from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
 from labos.spec.serving import list_drivers, list_models, match_driver, suggest_driver
 from labos.spec.shelves import expand_shelves

@@ -19,13 +19,12 @@ from labos.spec.defaults import Defaults
 from labos.spec.dialects import convert_workflow
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding
+from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, make_finding
 from labos.spec.layout import Origin, UnrolledRemarks
 from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import CompileInputs, StepPlanner
-from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults

@@ -6,8 +6,7 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import PurePath
 from typing import Any
 
-from labos.spec.findings import FindingList
-from labos.spec.remarks import Remarks
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping
 
 
