@@ -13,7 +13,8 @@ import msgspec
 from pydantic import Field
 
 from labos.core.effects import AnyEffect
-from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.core.ids import ModuleName
+from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind, Workcell
 from labos.core.structs import make_from
 from labos.spec.mismatch import explain_plainly
 from labos.spec.parts import Aliases, Comment, Name, Part, Seconds
@@ -197,6 +198,14 @@ def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]
         return None
     more = module.config.get("extends")
     return extend(found, Extends.model_validate(more)) if more else found
+
+
+def describe_modules(
+    workcell: Workcell, descriptions: Mapping[str, Description]
+) -> dict[ModuleName, Description]:
+    """The descriptions of a workcell's modules, as far as they are known."""
+    found = {module.name: find_description(module, descriptions) for module in workcell.modules}
+    return {name: known for name, known in found.items() if known is not None}
 
 
 def _make_stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:

@@ -37,7 +37,7 @@ from labos.core.model import (
 )
 from labos.core.wells import list_doses
 from labos.errors import SpecError
-from labos.spec.about import find_description
+from labos.spec.about import describe_modules
 from labos.spec.amounts import compute_amount, list_arguments
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import BenchFile
@@ -81,11 +81,7 @@ class StepPlanner:
         self.workcell = workcell = given.workcell
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
-        self.described = {
-            module.name: found
-            for module in workcell.modules
-            if (found := find_description(module, given.descriptions)) is not None
-        }
+        self.described = describe_modules(workcell, given.descriptions)
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
         self.conditions = StepConditions(self.steps, self.feeds)

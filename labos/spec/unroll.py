@@ -73,7 +73,6 @@ class Unroller:
             self._put_way_out(file.on_cancel, frame, payload)
         for leaf, frame, path in self._aside:
             self._put_aside(leaf, frame, path)
-        self.layout.settle()
         if not self.layout.leaves and not self.report.errors:
             remedy = "Check `when` and the lists of `for_each`, or do not submit it."
             Remarks(source, self.report).error("No step of this workflow is left.", ("steps",), remedy)
@@ -304,7 +303,7 @@ class Unroller:
         entry = written or node.entry
         entry = entry if path[-1] == "reset" else self.defaults.fill_in(entry, scope)
         leaf = Leaf(
-            len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node.box,
+            len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node,
             foreign=frame.foreign, part=self._part, conditions=self._conditions,
         )  # fmt: skip
         self._aside.append((leaf, frame, path))

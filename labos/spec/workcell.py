@@ -16,12 +16,11 @@ from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import GENERIC, BadEffect, extend, make_about, make_description
 from labos.spec.bench import DEFAULT_LID, BenchFile, make_default_stock, read_stock
-from labos.spec.compile_stations import compile_stations
+from labos.spec.compile_stations import compile_stations, expand_shelves
 from labos.spec.defaults import make_setup, retry_of
 from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
 from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, make_finding, suggest_name
-from labos.spec.flaws import find_first_flaw
 from labos.spec.interfaces import (
     NATIVE,
     PLANNED,
@@ -34,9 +33,7 @@ from labos.spec.labware import load_packaged_labware, make_spec, read_own_labwar
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
 from labos.spec.ros import RosMapping
 from labos.spec.serving import list_drivers, list_models, match_driver, suggest_driver
-from labos.spec.shelves import expand_shelves
-from labos.spec.signals import SignalMapping
-from labos.spec.sila import SilaMapping
+from labos.spec.signals import SignalMapping, SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import (
@@ -51,7 +48,7 @@ from labos.spec.together import read_together
 from labos.spec.transfers import list_transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
-from labos.spec.validation import expect_valid
+from labos.spec.validation import expect_valid, find_first_flaw
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rest_node": ("rest", rest.find_flaw),

@@ -23,7 +23,7 @@ from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import Setup
-from labos.spec.sila import SilaMapping
+from labos.spec.signals import SilaMapping
 
 START_S = 30.0
 """How long a server may take to say that it has started an observable command."""
