@@ -261,16 +261,9 @@ def _find_form(name: str) -> str:
 
 def make_about(description: Description) -> dict[str, Any]:
     """A description in the form of ``about:``; empty values are left out."""
-    plain = {
-        "description": description.description,
-        "manipulator": description.manipulator,
-        "stations": {s.name: _write_station(s) for s in description.stations},
-        "variables": description.variables,
-        "rest": description.rest,
-        "levels": description.levels,
-        "units": description.units,
-        "actions": {a.name: _write_action(a) for a in description.actions if a.name != "reset"},
-    }
+    plain = {key: getattr(description, key) for key in About.model_fields}
+    plain["stations"] = {s.name: _write_station(s) for s in description.stations}
+    plain["actions"] = {a.name: _write_action(a) for a in description.actions if a.name != "reset"}
     return {key: value for key, value in plain.items() if value or key == "actions"}
 
 

@@ -59,6 +59,11 @@ class SpecErrors(BadInput):
         super().__init__("\n".join(str(error) for error in self.errors))
 
 
+def list_findings(error: SpecError | SpecErrors) -> list[Finding]:
+    """The findings of a file that cannot be used."""
+    return list(error.findings) if isinstance(error, SpecErrors) else [make_finding(error)]
+
+
 class FindingFields(TypedDict, total=False):
     """What else may be said of a finding."""
 
@@ -110,6 +115,10 @@ class FindingList:
             self._known.add(finding)
             self._count[finding.severity] += 1
             self.findings.append(finding)
+
+    def keep_error(self, error: SpecError) -> None:
+        """Add an error, which names its own place."""
+        self.keep(make_finding(error))
 
     @property
     def errors(self) -> int:

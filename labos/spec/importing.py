@@ -99,7 +99,6 @@ def _import_workcell(
     cell = compile_workcell(source, descriptions, uses=uses)
     form, dialect = convert_workcell(source, FindingList(source.file))
     file = cell.file
-    assert file is not None  # it has been compiled
     text, moved = "", None
     if dialect != "labos":
         carrying = TransferReader(cell, descriptions)

@@ -45,7 +45,7 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import Remarks, make_finding, suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
@@ -450,7 +450,7 @@ class StepPlanner:
     def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
         """Report the fault of an argument, or of the file that it names."""
         if error.file:
-            self.remarks.report.keep(make_finding(error))
+            self.remarks.report.keep_error(error)
         else:
             self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
 

@@ -16,7 +16,7 @@ from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, Remarks, make_finding
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
@@ -368,7 +368,7 @@ class Unroller:
                     what = f"`{key}` is allowed only in the submitted workflow, not in a file that it uses."
                     Remarks(form, report).error(what, (key,), "Write it there.", key=True)
         except SpecError as error:
-            self.report.keep(make_finding(error))
+            self.report.keep_error(error)
             return None
         self.report.take(report)
         if file is None or report.errors:

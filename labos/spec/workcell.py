@@ -20,7 +20,7 @@ from labos.spec.compile_stations import compile_stations, expand_shelves
 from labos.spec.defaults import make_setup, retry_of
 from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
-from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, make_finding, suggest_name
+from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, list_findings, suggest_name
 from labos.spec.interfaces import (
     NATIVE,
     PLANNED,
@@ -69,8 +69,8 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
 
     workcell: Workcell
     bench: BenchFile
-    findings: tuple[Finding, ...] = ()
-    file: WorkcellFile | None = None
+    findings: tuple[Finding, ...]
+    file: WorkcellFile
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -80,7 +80,7 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
             entry.name: "there is no driver for it"
             if entry.active
             else "it is switched off (`active: false`)"
-            for entry in (self.file.modules if self.file is not None else ())
+            for entry in self.file.modules
             if entry.name not in there
         }
 
@@ -164,10 +164,8 @@ def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, De
     try:
         source = source if isinstance(source, Source) else read(source, last_wins=True)
         return list(compile_workcell(source, descriptions).findings)
-    except SpecErrors as errors:
-        return list(errors.findings)
-    except SpecError as error:
-        return [make_finding(error)]
+    except (SpecError, SpecErrors) as error:
+        return list_findings(error)
 
 
 class _Modules:
@@ -244,7 +242,7 @@ class _Modules:
             source = read_source(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
         except SpecError as error:
             if error.line or error.file:
-                self.remarks.report.keep(make_finding(error))
+                self.remarks.report.keep_error(error)
             else:
                 self.remarks.error(error.message, at, error.remedy)
             return None
