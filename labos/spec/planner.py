@@ -27,7 +27,6 @@ from labos.core.model import (
     ON_CANCEL,
     ActionSpec,
     Description,
-    Hold,
     ModuleSpec,
     OnError,
     Plan,
@@ -93,13 +92,14 @@ class StepPlanner:
         self._check_modules()
         steps = tuple(self._make_step(index, entry) for index, entry in enumerate(self.steps.entries))
         steps = tuple(self._take_from_stacks(index, step, steps) for index, step in enumerate(steps))
+        claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
         return Plan(
             workflow=self.file.name,
             workcell=self.workcell.name,
             steps=steps,
             feeds=tuple(sorted(self.feeds)),
             files=self.pinned,
-            holds=self._make_holds(steps),
+            holds=make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks),
         )
 
     def _take_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
@@ -122,10 +122,6 @@ class StepPlanner:
 
     def _is_stack(self, station: StationName) -> bool:
         return station in self.stations and self.stations[station].kind == "stack"
-
-    def _make_holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
-        claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
-        return make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
     def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
         """Carry out a dry run. Returns also the plan in which only steps may be skipped for which this is
