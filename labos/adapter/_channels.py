@@ -11,18 +11,8 @@ from typing import Any, Protocol
 
 import msgspec
 
-from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 from labos.spec.signals import Condition
-
-__all__ = [
-    "ChannelReading",
-    "Channels",
-    "NoResponse",
-    "is_fulfilled",
-    "leaves_open",
-    "report_missing_package",
-]
 
 SETTLED = 3
 """How many times in a row a device must report that it is idle before an action without an answer counts as

@@ -9,11 +9,11 @@ from typing import Any
 from labos.adapter._channels import (
     ChannelReading,
     Channels,
-    NoResponse,
     number_of,
     report_missing_package,
     text_of,
 )
+from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 
 PUT_FAILED, NO_ACCESS = 160, 376
@@ -100,21 +100,18 @@ class CaChannels(Channels):
 
     def _read_value(self, name: str, value: Any) -> ChannelReading:
         is_text = getattr(value, "datatype", None) == self._ca.DBR_CHAR and name not in self._numbers
+        severity = int(getattr(value, "severity", 0))
         if is_text and hasattr(value, "tobytes") and (text := text_of(value.tobytes())) is not None:
-            return ChannelReading(text, severity=int(getattr(value, "severity", 0)))
-        return _read_value(value)
+            return ChannelReading(text, severity=severity)
+        plain = value.tolist() if hasattr(value, "tolist") else value
+        if isinstance(plain, int | float | str):
+            plain = next(kind(plain) for kind in (int, float, str) if isinstance(plain, kind))
+        labels = getattr(value, "enums", None)
+        label = labels[plain] if labels and isinstance(plain, int) and 0 <= plain < len(labels) else ""
+        return ChannelReading(plain, label, severity)
 
     async def close(self) -> None:
         for watched in self._watched:
             watched.close()
         self._watched.clear()
         self._ca.purge_channel_caches()  # otherwise the library calls into a loop that has ended
-
-
-def _read_value(value: Any) -> ChannelReading:
-    plain = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(plain, int | float | str):
-        plain = next(kind(plain) for kind in (int, float, str) if isinstance(plain, kind))
-    labels = getattr(value, "enums", None)
-    label = labels[plain] if labels and isinstance(plain, int) and 0 <= plain < len(labels) else ""
-    return ChannelReading(plain, label, int(getattr(value, "severity", 0)))

@@ -12,11 +12,11 @@ from typing import Any
 from labos.adapter._channels import (
     ChannelReading,
     Channels,
-    NoResponse,
     number_of,
     report_missing_package,
     text_of,
 )
+from labos.adapter._http import NoResponse
 from labos.errors import DeviceError
 
 READ_S = 5.0
@@ -84,11 +84,19 @@ class PvaChannels(Channels):
         return value
 
     def _read_value(self, name: str, structure: Any) -> ChannelReading:
-        if _is_bytes(structure.value) and name not in self._numbers:
-            text = text_of(structure.value.tobytes())
+        value, label = structure.value, ""
+        severity = int(structure.alarm.severity) if "alarm" in _list_fields(structure) else 0
+        if _is_bytes(value) and name not in self._numbers:
+            text = text_of(value.tobytes())
             if text is not None:
-                return ChannelReading(text, severity=_read_severity(structure))
-        return _read_value(structure)
+                return ChannelReading(text, severity=severity)
+        if "index" in _list_fields(value):
+            labels = list(value.choices)
+            value = int(value.index)
+            label = labels[value] if 0 <= value < len(labels) else ""
+        elif hasattr(value, "tolist"):
+            value = value.tolist()
+        return ChannelReading(value, label, severity)
 
     async def close(self) -> None:
         for watched in self._watched:
@@ -120,21 +128,6 @@ class _SinglePut:
 
 def _list_fields(value: Any) -> list[str]:
     return list(value.keys()) if hasattr(value, "keys") else []
-
-
-def _read_value(structure: Any) -> ChannelReading:
-    value, label = structure.value, ""
-    if "index" in _list_fields(value):
-        labels = list(value.choices)
-        value = int(value.index)
-        label = labels[value] if 0 <= value < len(labels) else ""
-    elif hasattr(value, "tolist"):
-        value = value.tolist()
-    return ChannelReading(value, label, _read_severity(structure))
-
-
-def _read_severity(structure: Any) -> int:
-    return int(structure.alarm.severity) if "alarm" in _list_fields(structure) else 0
 
 
 def _is_bytes(value: Any) -> bool:

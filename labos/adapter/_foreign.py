@@ -16,8 +16,8 @@ from labos.core.model import LABWARE_TYPE, PLATE_TYPE, ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
 from labos.node.node import INTERRUPTED, ActionMethod, Node, Setup, current_action
 from labos.spec.about import add_reset
-from labos.spec.flaws import find_first_flaw
 from labos.spec.parts import Part
+from labos.spec.validation import find_first_flaw
 
 SENT = "sent"
 """The handle of a start in a protocol without ids."""

@@ -9,7 +9,8 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
-from labos.adapter._channels import ChannelReading, Channels, NoResponse, report_missing_package
+from labos.adapter._channels import ChannelReading, Channels, report_missing_package
+from labos.adapter._http import NoResponse
 from labos.adapter._opcua_security import OpcuaAccess
 from labos.adapter._opcua_types import OpcuaKind, Types, make_plain
 from labos.errors import DeviceError

@@ -21,11 +21,11 @@ from labos.adapter._channels import (
     SEVERITIES,
     ChannelReading,
     Channels,
-    NoResponse,
     is_fulfilled,
     report_missing_package,
 )
 from labos.adapter._condition_node import ConditionNode
+from labos.adapter._http import NoResponse
 from labos.adapter._placeholders import fill
 from labos.core.model import ActionSpec
 from labos.errors import DeviceError, OutcomeUnknown
@@ -189,9 +189,8 @@ class SignalNode(ConditionNode):
                 await self._put(put, values, self.patience_s)
         except (NoResponse, DeviceError) as error:
             raise DeviceError(f"{spec.name} was not started: {error}", effects="none") from error
-        started = Started(
-            boot=await self._read_boot(), done=[_show_condition(condition) for condition in ends_by]
-        )
+        ends = [condition.model_dump(by_alias=True, exclude_defaults=True) for condition in ends_by]
+        started = Started(boot=await self._read_boot(), done=ends)
         losses = self._losses
         await self.note_handle(msgspec.json.encode(started).decode())
         try:
@@ -224,11 +223,10 @@ class SignalNode(ConditionNode):
         protocol, whole = self.mapping.find(put.pv)
         losses, loop = self._losses, asyncio.get_running_loop()
         working = loop.time()
-        sending = asyncio.ensure_future(
-            self._find_client(protocol).put(
-                whole, fill(put.value, values, self.table), callback=put.callback, on=self._find_object(put)
-            )
-        )
+        value = fill(put.value, values, self.table)
+        owner = self.mapping.find(put.object)[1] if put.object else ""
+        putting = self._find_client(protocol).put(whole, value, callback=put.callback, on=owner)
+        sending = asyncio.ensure_future(putting)
         try:
             while not sending.done():
                 changed = asyncio.ensure_future(self._change(self.poll_s))
@@ -242,9 +240,6 @@ class SignalNode(ConditionNode):
             sending.result()
         finally:
             sending.cancel()
-
-    def _find_object(self, put: Put) -> str:
-        return self.mapping.find(put.object)[1] if put.object else ""
 
     async def _see_done(
         self, spec: ActionSpec, actuation: Actuation, ends_by: list[Condition], boot: Any, losses: int
@@ -377,7 +372,3 @@ def _list_names(mapping: SignalMapping) -> set[str]:
 def _fill_in(condition: Condition, values: dict[str, Any], table: str) -> Condition:
     filled = {"is_": fill(condition.is_, values, table), "near": fill(condition.near, values, table)}
     return condition.model_copy(update=filled)
-
-
-def _show_condition(condition: Condition) -> dict[str, Any]:
-    return condition.model_dump(by_alias=True, exclude_defaults=True)

@@ -78,18 +78,15 @@ class RosNode(ForeignNode):
     async def _start_bridge(self) -> None:
         """Start the bridge process, if none runs. Raises DeviceError."""
         async with self._starting:
-            await self._start_another()
-
-    async def _start_another(self) -> None:
-        if self._bridge is not None and self._bridge.runs:
-            return
-        await self.close()
-        config = self.setup.config
-        bridge = BridgeProcess(str(config.get("ros_python") or ""), config.get("ros_domain"))
-        await bridge.start()
-        self._bridge, self._state = bridge, ""
-        if state := self.mapping.state:
-            bridge.watch(state.topic, state.type, self._on_state)
+            if self._bridge is not None and self._bridge.runs:
+                return
+            await self.close()
+            config = self.setup.config
+            bridge = BridgeProcess(str(config.get("ros_python") or ""), config.get("ros_domain"))
+            await bridge.start()
+            self._bridge, self._state = bridge, ""
+            if state := self.mapping.state:
+                bridge.watch(state.topic, state.type, self._on_state)
 
     async def close(self) -> None:
         bridge, self._bridge = self._bridge, None

@@ -15,7 +15,7 @@ from labos.cli._out import end_with_json, show_table
 from labos.errors import BadInput, NotFound, SpecError
 from labos.spec import Finding, SpecErrors
 from labos.spec.dialects import find_kind, make_unknown_error
-from labos.spec.findings import ASSUMED, make_finding
+from labos.spec.findings import ASSUMED, list_findings, make_finding
 from labos.spec.library import SUFFIXES
 from labos.spec.references import iterate_texts
 from labos.spec.source import read
@@ -130,11 +130,9 @@ def read_all(path: Path, output: Path, descriptions: Mapping[str, Description]) 
         try:
             uses = read_uses(users.get(source.file, ()))
             found = import_spec(source, descriptions, uses, moved.get(source.file, ()))
-        except SpecErrors as errors:
-            outcome.refused.append(LeftFile(str(file), [f for f in errors.findings if f.severity == "error"]))
-            continue
-        except SpecError as error:
-            outcome.refused.append(LeftFile(str(file), [make_finding(error)]))
+        except (SpecError, SpecErrors) as error:
+            faults = [finding for finding in list_findings(error) if finding.severity == "error"]
+            outcome.refused.append(LeftFile(str(file), faults))
             continue
         files[source.file] = found
         if found.moved is not None:

@@ -32,7 +32,7 @@ from labos.spec import (
 )
 from labos.spec.choices import describe_choices, list_choices
 from labos.spec.dialects import detect_kind
-from labos.spec.findings import make_finding
+from labos.spec.findings import list_findings
 from labos.spec.source import read
 from labos.spec.uses import read_uses
 
@@ -124,10 +124,8 @@ def _check_alone(name: str) -> None:
         if kind == "workcell":
             findings += check_layout(source, compile_workcell(source, known), shape_of)
         summary = f"{found.name}: " + ", ".join(f"{count} {what}" for what, count in found.counts.items())
-    except SpecErrors as errors:
-        findings = list(errors.findings)
-    except SpecError as error:
-        findings = [make_finding(error)]
+    except (SpecError, SpecErrors) as error:
+        findings = list_findings(error)
     sound = all(finding.severity != "error" for finding in findings)
     end_with_json({"sound": sound, "findings": findings}, int(not sound))
     for finding in findings:
@@ -163,11 +161,8 @@ def examine(
         )
         verdict.certificate = certify_all(compiled, cell.workcell)
         compiled = check_windows(compiled, cell.workcell)
-    except SpecErrors as errors:
-        verdict.findings = [*findings, *errors.findings]
-        return verdict, None
-    except SpecError as error:
-        verdict.findings = [*findings, make_finding(error)]
+    except (SpecError, SpecErrors) as error:
+        verdict.findings = [*findings, *list_findings(error)]
         return verdict, None
     verdict.findings = [*findings, *compiled.findings]
     verdict.inputs, verdict.outputs = compiled.inputs, compiled.outputs

@@ -39,7 +39,7 @@ class _Bus(Life):
         self,
         name: str,
         settings: dict[str, Any],
-        identify: Callable[[], str] | None = None,
+        identify: Callable[[SdoLink], str] | None = None,
         expected: str = "",
     ) -> None:
         named = name or f"can {settings.get('interface')} {settings.get('channel')}"
@@ -158,8 +158,7 @@ class SdoLink(_Bus):
         expected: str = "",
         **settings: Any,
     ) -> None:
-        identity = None if identify is None else lambda: identify(self)
-        super().__init__(name, settings, identity, expected)
+        super().__init__(name, settings, identify, expected)
         self.node = node
         self._emergency = emergency
         self._late_s = late_s

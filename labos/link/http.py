@@ -58,8 +58,7 @@ class HttpLink(Life):
         verify: bool = True,
         script: ScriptedHttp | None = None,
     ) -> None:
-        identity = None if identify is None else lambda: identify(self)
-        super().__init__(name or f"http {url}", identity, expected)
+        super().__init__(name or f"http {url}", identify, expected)
         self._url, self._headers, self._verify, self._script = url, dict(headers or {}), verify, script
         self._client: httpx.Client | None = None
         self._asking: Counter[httpx.Client] = Counter()

@@ -8,6 +8,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from labos.errors import LinkError, LinkLost, NotConnected, WrongDevice
 from labos.link.transcript import note
@@ -16,12 +17,12 @@ FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.1, 5.0
 
 
 class Life(ABC):
-    """A connection that is opened when it is needed, with pauses between attempts. ``_identify`` asks the
-    device for its identity each time the link is opened. An answer other than ``expected`` (empty: other than
-    the first time) raises WrongDevice.
+    """A connection that is opened when it is needed, with pauses between attempts. ``identify`` asks the
+    device on the link for its identity each time it is opened. An answer other than ``expected`` (empty:
+    other than the first time) raises WrongDevice.
     """
 
-    def __init__(self, name: str, identify: Callable[[], str] | None = None, expected: str = "") -> None:
+    def __init__(self, name: str, identify: Callable[[Any], str] | None = None, expected: str = "") -> None:
         self.name = name
         self._identity, self._expected = identify, expected
         self._lock = threading.RLock()
@@ -90,7 +91,7 @@ class Life(ABC):
         if self._identity is None:
             return
         try:
-            found = self._identity()
+            found = self._identity(self)
         except NotConnected:
             raise
         except LinkError as error:

@@ -39,8 +39,7 @@ class Link(Life):
         expected: str = "",
         late_s: float = 1.0,
     ) -> None:
-        identity = None if identify is None else lambda: identify(self)
-        super().__init__(name or wire.name, identity, expected)
+        super().__init__(name or wire.name, identify, expected)
         self._wire, self._framing = wire, framing
         self._answers, self._unasked = answers, unasked
         self._late_s = late_s

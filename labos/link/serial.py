@@ -34,7 +34,7 @@ class SerialWire:
         stopbits: float = 1,
         rtscts: bool = False,
     ) -> None:
-        self.port = port
+        self.port, self.name = port, f"serial {port}"
         self._settings: dict[str, Any] = {
             "baudrate": baudrate,
             "bytesize": bytesize,
@@ -45,10 +45,6 @@ class SerialWire:
         if "://" not in port:
             self._settings["exclusive"] = True
         self._device: serial.Serial | None = None
-
-    @property
-    def name(self) -> str:
-        return f"serial {self.port}"
 
     def open(self) -> None:
         try:

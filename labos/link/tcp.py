@@ -15,12 +15,9 @@ class TcpWire:
 
     def __init__(self, host: str, port: int, *, connect_s: float = 5.0) -> None:
         self.host, self.port = host, port
+        self.name = f"tcp {host}:{port}"
         self._connect_s = connect_s
         self._socket: socket.socket | None = None
-
-    @property
-    def name(self) -> str:
-        return f"tcp {self.host}:{self.port}"
 
     def open(self) -> None:
         try:

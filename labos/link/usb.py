@@ -32,13 +32,10 @@ class UsbWire:
         serial: str = "",
         backend: Any = None,
     ) -> None:
+        self.name = f"usb {vendor:04x}:{product:04x}"
         self._ids, self._ends, self._serial = (vendor, product), (out_end, in_end), serial
         self._backend = backend
         self._device: Any = None
-
-    @property
-    def name(self) -> str:
-        return "usb {:04x}:{:04x}".format(*self._ids)
 
     def open(self) -> None:
         try:

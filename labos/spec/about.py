@@ -13,7 +13,8 @@ import msgspec
 from pydantic import Field
 
 from labos.core.effects import AnyEffect
-from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind
+from labos.core.ids import ModuleName
+from labos.core.model import ActionSpec, Arg, Description, ModuleSpec, Station, StationKind, Workcell
 from labos.core.structs import make_from
 from labos.spec.mismatch import explain_plainly
 from labos.spec.parts import Aliases, Comment, Name, Part, Seconds
@@ -199,6 +200,14 @@ def find_description(module: ModuleSpec, descriptions: Mapping[str, Description]
     return extend(found, Extends.model_validate(more)) if more else found
 
 
+def describe_modules(
+    workcell: Workcell, descriptions: Mapping[str, Description]
+) -> dict[ModuleName, Description]:
+    """The descriptions of a workcell's modules, as far as they are known."""
+    found = {module.name: find_description(module, descriptions) for module in workcell.modules}
+    return {name: known for name, known in found.items() if known is not None}
+
+
 def _make_stations(written: Mapping[str, StationAbout]) -> tuple[Station, ...]:
     return tuple(
         Station(name, s.kind, s.capacity, s.access, s.claim, tuple(s.aliases)) for name, s in written.items()
@@ -252,16 +261,9 @@ def _find_form(name: str) -> str:
 
 def make_about(description: Description) -> dict[str, Any]:
     """A description in the form of ``about:``; empty values are left out."""
-    plain = {
-        "description": description.description,
-        "manipulator": description.manipulator,
-        "stations": {s.name: _write_station(s) for s in description.stations},
-        "variables": description.variables,
-        "rest": description.rest,
-        "levels": description.levels,
-        "units": description.units,
-        "actions": {a.name: _write_action(a) for a in description.actions if a.name != "reset"},
-    }
+    plain = {key: getattr(description, key) for key in About.model_fields}
+    plain["stations"] = {s.name: _write_station(s) for s in description.stations}
+    plain["actions"] = {a.name: _write_action(a) for a in description.actions if a.name != "reset"}
     return {key: value for key, value in plain.items() if value or key == "actions"}
 
 

@@ -10,7 +10,7 @@ from labos.core.bench import split_item
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import StationSpec, Workcell
 from labos.errors import SpecError
-from labos.spec.remarks import Remarks
+from labos.spec.findings import Remarks
 from labos.spec.stations import Stations
 
 DEFAULT_LABWARE, DEFAULT_LID = "plate96", "lid96"

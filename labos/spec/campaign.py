@@ -15,9 +15,8 @@ from labos.core.expressions import ExpressionError, list_names, parse_expression
 from labos.core.model import Condition
 from labos.core.viewer import Visibility
 from labos.errors import SpecError
-from labos.spec.findings import FindingList
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.parts import Label, Part, Seconds, Version
-from labos.spec.remarks import Remarks
 from labos.spec.rows import TableLine, expand
 from labos.spec.source import Source, parse
 from labos.spec.validation import expect_valid

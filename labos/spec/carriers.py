@@ -11,7 +11,7 @@ from labos.core.effects import Move
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import ActionSpec, Description, TransferWay, Workcell
 from labos.errors import SpecError
-from labos.spec.about import find_description
+from labos.spec.about import describe_modules
 from labos.spec.stations import Stations
 
 TRANSFER = "transfer"
@@ -123,12 +123,11 @@ class Carriers:
 
 def _list_offered(workcell: Workcell, descriptions: Mapping[str, Description]) -> Iterable[TransferWay]:
     """The ways that the modules of a workcell offer themselves."""
-    for module in workcell.modules:
-        known = find_description(module, descriptions)
-        for action in known.actions if known is not None else ():
+    for name, known in describe_modules(workcell, descriptions).items():
+        for action in known.actions:
             ends = _find_end_arguments(action)
             if ends is not None:
-                yield TransferWay(module.name, action.name, *ends, cost=action.duration_s)
+                yield TransferWay(name, action.name, *ends, cost=action.duration_s)
 
 
 def _find_end_arguments(action: ActionSpec) -> tuple[str, str] | None:

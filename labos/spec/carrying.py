@@ -16,7 +16,7 @@ from labos.core.arguments import list_names
 from labos.core.effects import list_moved
 from labos.core.ids import ModuleName, StationName, local
 from labos.core.model import Description
-from labos.spec.about import find_description
+from labos.spec.about import describe_modules
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.stations import Stations
 from labos.spec.uses import Use
@@ -47,11 +47,7 @@ class TransferReader:
     def __init__(self, cell: CompiledWorkcell, descriptions: Mapping[str, Description]) -> None:
         self.cell = cell
         self._stations = Stations(cell.workcell.name, cell.workcell.stations)
-        self._offered = {
-            local(module.name): found
-            for module in cell.workcell.modules
-            if (found := find_description(module, descriptions)) is not None
-        }
+        self._offered = describe_modules(cell.workcell, descriptions)
         self._own = {local(each.name) for each in cell.workcell.modules if not each.config.get("about")}
 
     def find_agreed(self, uses: Iterable[Use]) -> set[TransferEnd]:
@@ -68,10 +64,11 @@ class TransferReader:
 
     def list_ends(self, module: str, action: str, args: Mapping[str, Any]) -> Iterator[TransferEnd]:
         """The ends of a step's transfer, at stations that the arm was taught."""
-        offered = self._offered[module].action(action) if module in self._offered else None
+        arm = ModuleName(f"{self.cell.workcell.name}/{module}")
+        offered = self._offered[arm].action(action) if arm in self._offered else None
         if offered is None:
             return
-        arm, known = ModuleName(f"{self.cell.workcell.name}/{module}"), list_names(offered)
+        known = list_names(offered)
         written = {known[name].name: name for name in args if name in known}
         for effect in list_moved(offered.effects):
             for place, grip in ((effect.source, effect.source_grip), (effect.target, effect.target_grip)):

@@ -17,10 +17,9 @@ import msgspec
 from labos.core.decide.choices import MOST_PLANS
 from labos.core.ids import local
 from labos.core.model import Plan, Workcell
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.models import ANY_OF, SAME_AS, RunSteps, StepEntry, WorkflowFile
 from labos.spec.references import change_texts, iterate_texts
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
 _MODULE_OF = re.compile(r"\$\{(?!payload[.:])([^{}]+)\.module\}")

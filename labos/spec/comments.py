@@ -49,10 +49,7 @@ def place_comments(comments: list[Comment], form: SourceMapping) -> tuple[dict[s
     lines = sorted(fields)
     placed, below = dict[str, list[str]](), list[str]()
     for comment in comments:
-        if comment.is_alone:
-            index = bisect.bisect_right(lines, comment.line)
-        else:
-            index = bisect.bisect_right(lines, comment.line) - 1
+        index = bisect.bisect_right(lines, comment.line) - (0 if comment.is_alone else 1)
         if index >= len(lines):
             below.append(comment.text)
         else:

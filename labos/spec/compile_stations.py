@@ -3,20 +3,20 @@ the arms that were taught them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from labos.core.bench import split_item
 from labos.core.ids import ModuleName, StationName, local, split_place, split_written_place
 from labos.core.model import Description, Station, StationKind, StationSpec
 from labos.core.structs import make_from
 from labos.errors import SpecError
-from labos.spec.findings import suggest_name
-from labos.spec.kinds import warn_of_unknown
+from labos.spec.findings import Remarks, suggest_name, suggest_similar
 from labos.spec.labware import load_packaged_labware
-from labos.spec.models import LabwareType, StationEntry, WorkcellFile
-from labos.spec.remarks import Remarks
+from labos.spec.models import ANY, LabwareType, PoseEntry, ShelfPoses, StationEntry, WorkcellFile
+from labos.spec.source import Path_
 from labos.spec.stations import Stations, strip_place
 
 WASTE = ("trash", "waste")
@@ -36,7 +36,7 @@ def compile_stations(
     """All stations. ``drivers`` are the active modules' descriptions by module, ``own`` the labware types of
     the lab's own files; in a foreign file, places without a description are assumed to be nests."""
     types = {**load_packaged_labware(), **own}
-    warn_of_unknown(file, types, remarks)
+    _warn_of_unknown(file, types, remarks)
     compiler = _StationCompiler(file, drivers, remarks, foreign)
     compiler.describe()
     compiler.add_written()
@@ -48,6 +48,63 @@ def compile_stations(
     compiler.keep_off_stacks([name for name, kind in sorted(types.items()) if not kind.stackable])
     compiler.fit_out_shelves()
     return compiler.make_index()
+
+
+def expand_shelves(file: WorkcellFile, remarks: Remarks) -> WorkcellFile:
+    """The file with a location for each shelf instead of those for whole hotels."""
+    locations: dict[str, dict[str, PoseEntry]] = {}
+    for owner, places in file.locations.items():
+        known = locations[owner] = {}
+        for place, written in places.items():
+            path = ("locations", owner, place)
+            entry = file.stations.get(place)
+            shelves = entry.shelves if entry is not None else None
+            if not isinstance(written, ShelfPoses):
+                known[place] = written
+            elif shelves is None:
+                message = f"{place} has no shelves, but {owner} has a pose for its first shelf."
+                remarks.error(message, path, f"Give it `shelves:` under `stations: {place}:`, or one pose.")
+            elif len(written.first) != len(written.step):
+                message = f"The first shelf has {len(written.first)} values, the step {len(written.step)}."
+                remarks.error(
+                    message, (*path, "step"), "Give the same number: 0 for a value that does not change."
+                )
+            else:
+                known |= {f"{place}.{number}": written.find_pose(number) for number in range(1, shelves + 1)}
+    return file.model_copy(update={"locations": locations})
+
+
+def _warn_of_unknown(file: WorkcellFile, known: Collection[str], remarks: Remarks) -> None:
+    """A type without a description can be used, but may be a typing error: a warning is given once, at its
+    first place."""
+    seen = {*known, ""}
+    for kind, path, key in _list_named_types(file):
+        if kind not in seen:
+            seen.add(kind)
+            remedy = "Describe it in a labware file, and name that under `labware:`."
+            if meant := suggest_similar(kind, known):
+                remedy = f"{meant} Else describe it in a labware file that `labware:` names."
+            message = f"Nobody describes the labware type {kind!r}: its wells and grips are not checked."
+            remarks.add_warning(message, path, remedy, key=key)
+
+
+def _list_named_types(file: WorkcellFile) -> Iterator[tuple[str, Path_, bool]]:
+    """Each type, its place, and whether it is a key there."""
+    for place, entry in file.stations.items():
+        for number, kind in enumerate(entry.accepts or ()):
+            yield kind, ("stations", place, "accepts", number), False
+        for arm, grips in entry.reach.items():
+            for kind in grips if isinstance(grips, dict) else ():
+                yield kind, ("stations", place, "reach", arm, kind), True
+    for arm, places in file.locations.items():
+        for place, poses in places.items():
+            for kind in poses if isinstance(poses, dict) else ():
+                if kind != ANY:
+                    yield kind, ("locations", arm, place, kind), True
+    for place, counts in (file.stock or {}).items():
+        for item in counts:
+            for kind in split_item(item):
+                yield kind, ("stock", place, item), True
 
 
 class _StationCompiler:

@@ -9,9 +9,9 @@ from labos.core.ids import ModuleName
 from labos.core.model import ActionSpec, ModuleSpec, RetryDefault, Workcell
 from labos.core.setups import Setup, SetupChange
 from labos.errors import SpecError
+from labos.spec.findings import Remarks
 from labos.spec.models import NONE, ModuleEntry, RetryEntry, StepEntry
 from labos.spec.references import fill
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
 

@@ -18,9 +18,8 @@ from labos.spec.description import (
     PlaceEntry,
     VariantEntry,
 )
-from labos.spec.findings import FindingList, suggest_name
+from labos.spec.findings import FindingList, Remarks, suggest_name
 from labos.spec.frames import Frame, frame, slide, spin
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source, read
 from labos.spec.validation import expect_valid
 

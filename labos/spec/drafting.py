@@ -15,10 +15,10 @@ from labos.core.effects import Unlid
 from labos.core.ids import local, split_place
 from labos.core.model import ActionSpec, Description
 from labos.spec.about import About, ActionAbout, ArgAbout, ExtendedAction, Extends, StationAbout
+from labos.spec.findings import Remarks
 from labos.spec.interfaces import is_configured
 from labos.spec.models import ModuleEntry, StationEntry, WorkcellFile
 from labos.spec.references import find_result, list_keys
-from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations, strip_place
 from labos.spec.uses import ResultUse, Use
 

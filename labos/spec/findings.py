@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from typing import Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import msgspec
 
 from labos.errors import BadInput, SpecError
-from labos.spec.source import NOWHERE, Place
+from labos.spec.source import NOWHERE, Path_, Place, Source
 
 Severity = Literal["error", "warning"]
 
@@ -57,6 +57,11 @@ class SpecErrors(BadInput):
         self.findings = tuple(findings)
         self.errors = tuple(f.as_error() for f in self.findings if f.severity == "error")
         super().__init__("\n".join(str(error) for error in self.errors))
+
+
+def list_findings(error: SpecError | SpecErrors) -> list[Finding]:
+    """The findings of a file that cannot be used."""
+    return list(error.findings) if isinstance(error, SpecErrors) else [make_finding(error)]
 
 
 class FindingFields(TypedDict, total=False):
@@ -111,6 +116,10 @@ class FindingList:
             self._count[finding.severity] += 1
             self.findings.append(finding)
 
+    def keep_error(self, error: SpecError) -> None:
+        """Add an error, which names its own place."""
+        self.keep(make_finding(error))
+
     @property
     def errors(self) -> int:
         """The number of errors until now."""
@@ -123,6 +132,30 @@ class FindingList:
     def raise_if_failed(self) -> None:
         if self.errors:
             raise SpecErrors(self.sort_findings())
+
+
+class Remarks:
+    """Reports a fault at a path of a file; ``key`` points at the key instead of the value."""
+
+    def __init__(self, source: Source, report: FindingList) -> None:
+        self.source, self.report = source, report
+
+    def error(self, message: str, path: Path_, remedy: str, *, key: bool = False) -> None:
+        self.report.error(message, remedy=remedy, **self._locate(path, key))
+
+    def add_warning(
+        self, message: str, path: Path_, remedy: str, *, key: bool = False, assumed: Assumed = ""
+    ) -> None:
+        self.report.add_warning(message, remedy=remedy, assumed=assumed, **self._locate(path, key))
+
+    def _locate(self, path: Path_, key: bool) -> dict[str, Any]:
+        source, at, name = self.find_source(path)
+        place, field = source.place(at, key=key), source.name_field(at) + name
+        return {"place": place, "field": field, "file": source.file}
+
+    def find_source(self, path: Path_) -> tuple[Source, Path_, str]:
+        """The file in which a path is written, the path there, and a text after the name of the field."""
+        return self.source, path, ""
 
 
 def suggest_name(name: str, known: Iterable[str], what: str = "name") -> str:

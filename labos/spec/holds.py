@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from labos.core.effects import list_carried
 from labos.core.ids import ModuleName, StationName
 from labos.core.model import MAIN, Hold, ModuleSpec, PlanStep
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.models import HoldEntry
-from labos.spec.remarks import Remarks
 from labos.spec.steps import Steps
 
 

@@ -10,7 +10,7 @@ import msgspec
 
 from labos.core.ids import local
 from labos.core.model import Description
-from labos.spec.about import find_description as described_module
+from labos.spec.about import describe_modules
 from labos.spec.carrying import TransferEnd, TransferReader, add_ends, drop_ends
 from labos.spec.comments import place_comments, read_comments
 from labos.spec.dialects import (
@@ -25,7 +25,7 @@ from labos.spec.dialects import (
 from labos.spec.emit import to_yaml
 from labos.spec.findings import Finding, FindingList
 from labos.spec.interfaces import is_configured
-from labos.spec.models import LabwareFile, ModuleEntry, StationEntry, WorkcellFile, WorkflowFile
+from labos.spec.models import LabwareFile, StationEntry, WorkcellFile, WorkflowFile
 from labos.spec.parts import Part
 from labos.spec.serving import match_driver
 from labos.spec.source import Source
@@ -99,7 +99,6 @@ def _import_workcell(
     cell = compile_workcell(source, descriptions, uses=uses)
     form, dialect = convert_workcell(source, FindingList(source.file))
     file = cell.file
-    assert file is not None  # it has been compiled
     text, moved = "", None
     if dialect != "labos":
         carrying = TransferReader(cell, descriptions)
@@ -125,19 +124,16 @@ def complete_workcell(
         change: dict[str, Any] = {}
         if entry.active and entry.name not in drivers:
             change["active"] = False
-        elif (
-            entry.active
-            and entry.about is None
-            and drivers[entry.name] != _find_driver_by_model(entry, descriptions)
-        ):
-            change["driver"] = drivers[entry.name]
+        elif entry.active and entry.about is None:
+            by_model = match_driver(entry.model, descriptions) if entry.model else None
+            if drivers[entry.name] != by_model:
+                change["driver"] = drivers[entry.name]
         if not is_configured(entry.interface, entry.config):
             change["interface"] = ""
         modules.append(entry.model_copy(update=change))
     known_stations = {
-        f"{local(module.name)}.{station.name}"
-        for module in cell.workcell.modules
-        if (known := described_module(module, descriptions)) is not None
+        f"{local(name)}.{station.name}"
+        for name, known in describe_modules(cell.workcell, descriptions).items()
         for station in known.stations
     }
     stations = dict(file.stations)
@@ -162,11 +158,6 @@ def complete_workcell(
     }
     change = {"modules": modules, "stations": stations, "locations": locations, "config": config}
     return file.model_copy(update=change)
-
-
-def _find_driver_by_model(entry: ModuleEntry, descriptions: Mapping[str, Description]) -> str | None:
-    """The driver for a module's model, if the model alone determines it."""
-    return match_driver(entry.model, descriptions) if entry.model else None
 
 
 def _write_text(

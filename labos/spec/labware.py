@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +10,9 @@ from labos.core.model import LabwareSpec, WellGrid
 from labos.core.structs import make_from
 from labos.errors import SpecError
 from labos.spec.dialects import convert_labware, find_kind
-from labos.spec.findings import FindingList, make_finding
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.library import SUFFIXES, find_spec, list_specs
 from labos.spec.models import ANY, LabwareFile, LabwareType
-from labos.spec.remarks import Remarks
 from labos.spec.source import MAX_BYTES, Path_, Source, parse, read
 from labos.spec.validation import expect_valid, validate
 
@@ -59,8 +58,8 @@ def read_own_labware(
     or among the files ``sent`` along with it. Faults go to the remarks, with their places in the labware
     files."""
     reader = _Reader(remarks, sent)
-    for path, entry in _iterate_entries(written):
-        reader.read(entry, path)
+    for number, entry in enumerate([written] if isinstance(written, str) else written):
+        reader.read(entry, ("labware",) if isinstance(written, str) else ("labware", number))
     return OwnLabware(reader.types, tuple(reader.digests.values()))
 
 
@@ -119,7 +118,7 @@ class _Reader:
                 raise source.error("This is no labware file.", remedy="Write its types below `labware:`.")
             form, _ = convert_labware(source, report)
         except SpecError as error:
-            self.remarks.report.keep(make_finding(error))
+            self.remarks.report.keep_error(error)
             return
         content = validate(LabwareFile, form, report)
         for name, kind in content.labware.items() if content is not None else ():
@@ -133,13 +132,6 @@ class _Reader:
             self.types.setdefault(name, kind)
             self._by.setdefault(name, file)
         self.remarks.report.take(report)
-
-
-def _iterate_entries(written: str | list[str]) -> Iterator[tuple[Path_, str]]:
-    if isinstance(written, str):
-        yield ("labware",), written
-    else:
-        yield from ((("labware", number), entry) for number, entry in enumerate(written))
 
 
 def _read_contents(entry: str, folder: Path | None) -> dict[str, bytes]:

@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from labos.core.model import MAIN, AnyPart
-from labos.spec.findings import FindingList, suggest_name
+from labos.spec.findings import FindingList, Remarks, suggest_name
 from labos.spec.models import StepEntry
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 
 
@@ -47,7 +46,7 @@ class Leaf:
         scope: Mapping[str, Any],
         needed: list[str],
         origin: tuple[Source, Path_],
-        box: Box,
+        node: LayoutNode,
         *,
         foreign: bool,
         part: AnyPart = MAIN,
@@ -55,10 +54,11 @@ class Leaf:
     ) -> None:
         self.conditions = conditions
         self.part = part
-        self.index, self.key, self.scope, self.needed, self.box = index, key, scope, needed, box
+        self.index, self.key, self.scope, self.needed = index, key, scope, needed
+        self.node, self.box = node, node.box
         self.source, self.path = origin
         self.foreign = foreign
-        self.unrolled = bool(box.prefix or entry.for_each)
+        self.unrolled = bool(self.box.prefix or entry.for_each)
         self.entry = entry.model_copy(update={"name": key}) if self.unrolled else entry
 
 
@@ -134,12 +134,8 @@ class Layout:
 
     def find_before(self, leaf: Leaf, remarks: Remarks) -> set[int]:
         """The steps for which a step waits, by its place in the file and its ``after``."""
-        node = self._find_node(leaf)
-        number = next(n for n, item in enumerate(node.rounds) if item is leaf)
-        return set(self._find_before_round(node, number, remarks))
-
-    def _find_node(self, leaf: Leaf) -> LayoutNode:
-        return self._nodes_of_leaves[leaf.index]
+        number = next(n for n, item in enumerate(leaf.node.rounds) if item is leaf)
+        return set(self._find_before_round(leaf.node, number, remarks))
 
     def trace(self, remarks: Remarks) -> None:
         """Find the ends of all entries, in the order in which they were written."""
@@ -155,18 +151,6 @@ class Layout:
                 ("steps",),
                 "Write steps below those that they wait for.",
             )
-
-    def settle(self) -> None:
-        """Called when all steps are unrolled."""
-        self._nodes_of_leaves: dict[int, LayoutNode] = {}
-        boxes = [self.main, *self.aside]
-        while boxes:
-            for node in boxes.pop().nodes:
-                for item in node.rounds:
-                    if isinstance(item, Leaf):
-                        self._nodes_of_leaves[item.index] = node
-                    else:
-                        boxes.append(item)
 
     def _find_before_round(self, node: LayoutNode, number: int, remarks: Remarks) -> frozenset[int]:
         if number and (not node.parallel or number in node.onward):

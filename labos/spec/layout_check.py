@@ -16,9 +16,8 @@ from labos.core.model import ModuleSpec
 from labos.spec.describing import apply_model, locate_parts, locate_places
 from labos.spec.description import ASSUMED, DescriptionFile, ReachEntry
 from labos.spec.dialects import convert_workcell
-from labos.spec.findings import Finding, FindingList
+from labos.spec.findings import Finding, FindingList, Remarks
 from labos.spec.frames import Frame, from_quaternion
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.workcell import CompiledWorkcell
 

@@ -12,9 +12,9 @@ from labos.core.model import LabwareSpec, ModuleSpec, Plan
 from labos.spec.bench import BenchFile
 from labos.spec.cancel_paths import CancelPaths
 from labos.spec.dryrun import DryRun
+from labos.spec.findings import Remarks
 from labos.spec.paper import UNKNOWN, AddFinding
 from labos.spec.plan_branches import PlanBranches, find_first_way
-from labos.spec.remarks import Remarks
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
 

@@ -27,7 +27,6 @@ from labos.core.model import (
     ON_CANCEL,
     ActionSpec,
     Description,
-    Hold,
     ModuleSpec,
     OnError,
     Plan,
@@ -37,7 +36,7 @@ from labos.core.model import (
 )
 from labos.core.wells import list_doses
 from labos.errors import SpecError
-from labos.spec.about import find_description
+from labos.spec.about import describe_modules
 from labos.spec.amounts import compute_amount, list_arguments
 from labos.spec.arguments import bind, is_later
 from labos.spec.bench import BenchFile
@@ -45,13 +44,12 @@ from labos.spec.conditions import StepConditions
 from labos.spec.defaults import find_timeout
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import make_finding, suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.holds import make_holds
 from labos.spec.layout import Layout
 from labos.spec.models import ANY_OF, SAME_AS, RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.plan_check import InitialBench, PlanCheck
 from labos.spec.references import fill, find_result
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.stations import Stations
 from labos.spec.steps import Steps
@@ -82,11 +80,7 @@ class StepPlanner:
         self.workcell = workcell = given.workcell
         self.stations = Stations(workcell.name, workcell.stations)
         self.modules = {local(module.name): module for module in workcell.modules}
-        self.described = {
-            module.name: found
-            for module in workcell.modules
-            if (found := find_description(module, given.descriptions)) is not None
-        }
+        self.described = describe_modules(workcell, given.descriptions)
         self.steps = Steps(layout, remarks)
         self.feeds: set[int] = set()
         self.conditions = StepConditions(self.steps, self.feeds)
@@ -98,13 +92,14 @@ class StepPlanner:
         self._check_modules()
         steps = tuple(self._make_step(index, entry) for index, entry in enumerate(self.steps.entries))
         steps = tuple(self._take_from_stacks(index, step, steps) for index, step in enumerate(steps))
+        claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
         return Plan(
             workflow=self.file.name,
             workcell=self.workcell.name,
             steps=steps,
             feeds=tuple(sorted(self.feeds)),
             files=self.pinned,
-            holds=self._make_holds(steps),
+            holds=make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks),
         )
 
     def _take_from_stacks(self, index: int, step: PlanStep, steps: Sequence[PlanStep]) -> PlanStep:
@@ -127,10 +122,6 @@ class StepPlanner:
 
     def _is_stack(self, station: StationName) -> bool:
         return station in self.stations and self.stations[station].kind == "stack"
-
-    def _make_holds(self, steps: tuple[PlanStep, ...]) -> tuple[Hold, ...]:
-        claims = {station.name: station.claim for station in self.workcell.stations if station.claim}
-        return make_holds(self.file.hold, self.modules, claims, self.steps, steps, self.remarks)
 
     def do_dry_run(self, plan: Plan) -> tuple[Plan, DryRun]:
         """Carry out a dry run. Returns also the plan in which only steps may be skipped for which this is
@@ -455,7 +446,7 @@ class StepPlanner:
     def _report(self, error: SpecError, entry: StepEntry, path: Path_) -> None:
         """Report the fault of an argument, or of the file that it names."""
         if error.file:
-            self.remarks.report.keep(make_finding(error))
+            self.remarks.report.keep_error(error)
         else:
             self.remarks.error(f"Step {entry.name!r}: {error.message}", (*path, "args"), error.remedy)
 

@@ -10,9 +10,8 @@ from labos.core.campaigns import Budget
 from labos.core.policy import BookingLimits, Policy
 from labos.core.structs import make_from
 from labos.spec.campaign import BudgetEntry
-from labos.spec.findings import FindingList
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.parts import Label, Part, Version
-from labos.spec.remarks import Remarks
 from labos.spec.source import parse
 from labos.spec.validation import expect_valid
 

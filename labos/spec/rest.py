@@ -11,8 +11,8 @@ from typing import Any, Literal
 
 from pydantic import ValidationError
 
-from labos.spec.flaws import describe_flaw
 from labos.spec.parts import Part
+from labos.spec.validation import describe_flaw
 
 
 class Request(Part):

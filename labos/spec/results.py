@@ -8,7 +8,7 @@ from typing import Any
 
 from labos.core.ids import ModuleName
 from labos.core.model import ActionSpec, Description, Plan
-from labos.spec.remarks import Remarks
+from labos.spec.findings import Remarks
 
 FITS = {
     "str": {"str"},

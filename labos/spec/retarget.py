@@ -13,7 +13,7 @@ from labos.core.arguments import list_names
 from labos.core.ids import local, split_written_place
 from labos.core.model import Description, Workcell
 from labos.errors import BadInput
-from labos.spec.about import find_description
+from labos.spec.about import describe_modules
 from labos.spec.findings import suggest_name
 from labos.spec.models import StepEntry, WorkflowFile
 from labos.spec.references import iterate_texts, list_keys
@@ -52,14 +52,6 @@ class _Need(msgspec.Struct):
     stations: set[str] = set()
 
 
-class _Module(msgspec.Struct, frozen=True):
-    """A module of a workcell with its driver's description."""
-
-    name: str
-    driver: str
-    about: Description
-
-
 def propose(
     file: WorkflowFile,
     old: Workcell,
@@ -69,7 +61,10 @@ def propose(
 ) -> Retargeting:
     """The modules of ``new`` that replace those of ``old``; ``given`` fixes some of them. Raises BadInput for
     a name of no module."""
-    before, after = _describe_modules(old, descriptions), _describe_modules(new, descriptions)
+    before, after = (
+        {local(name): about for name, about in describe_modules(cell, descriptions).items()}
+        for cell in (old, new)
+    )
     for one, other in given.items():
         _refuse_strangers(one, before, old.name)
         _refuse_strangers(other, after, new.name)
@@ -79,26 +74,17 @@ def propose(
         if name in given:
             chosen, why = given[name], "as you said"
         else:
-            chosen, why = _choose(before[name], need, after, places)
+            chosen, why = _choose(name, before[name], need, after, places)
         matches.append(ModuleMatch(name, chosen, why))
         if chosen:
-            misfits += _list_misfits(name, after[chosen], need, places)
+            misfits += _list_misfits(name, chosen, after[chosen], need, places)
         else:
             actions = ", ".join(sorted(need.actions)) or "only stations, no action"
             misfits.append(f"No module of {new.name} stands in for {name} ({actions}).")
     return Retargeting(matches, misfits)
 
 
-def _describe_modules(cell: Workcell, descriptions: Mapping[str, Description]) -> dict[str, _Module]:
-    found = {}
-    for module in cell.modules:
-        about = find_description(module, descriptions)
-        if about is not None:
-            found[local(module.name)] = _Module(local(module.name), module.driver, about)
-    return found
-
-
-def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) -> None:
+def _refuse_strangers(name: str, modules: Mapping[str, Description], workcell: str) -> None:
     if name not in modules:
         raise BadInput(
             f"--map: the workcell {workcell} has no module {name!r}.",
@@ -106,7 +92,7 @@ def _refuse_strangers(name: str, modules: Mapping[str, _Module], workcell: str) 
         )
 
 
-def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str, _Need]:
+def _list_needs(file: WorkflowFile, modules: Mapping[str, Description]) -> dict[str, _Need]:
     """The needs by module, in the order in which the workflow names them."""
     found: dict[str, _Need] = {}
     for _, entry in file.iterate_entries():
@@ -118,7 +104,7 @@ def _list_needs(file: WorkflowFile, modules: Mapping[str, _Module]) -> dict[str,
     return found
 
 
-def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterator[tuple[str, str]]:
+def _iterate_places(entry: StepEntry, modules: Mapping[str, Description]) -> Iterator[tuple[str, str]]:
     values: list[Any] = [entry.args, entry.payload]
     for text in iterate_texts([value for value in values if value]):
         owner, station = split_written_place(text)
@@ -126,12 +112,14 @@ def _iterate_places(entry: StepEntry, modules: Mapping[str, _Module]) -> Iterato
             yield owner, station
 
 
-def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: Stations) -> tuple[str, str]:
-    """The module with the most points among those that have all actions; with equal points, the first by
-    name."""
+def _choose(
+    wanted: str, old: Description, need: _Need, modules: Mapping[str, Description], places: Stations
+) -> tuple[str, str]:
+    """The module with the most points for ``wanted`` among those that have all actions; with equal
+    points, the first by name."""
     best, chosen, why = 0.0, "", "no module here does that"
     for name, module in sorted(modules.items()):
-        actions = {action: module.about.action(action) for action in need.actions}
+        actions = {action: module.action(action) for action in need.actions}
         held = [station for station in need.stations if places.list_matches(f"{name}.{station}")]
         if None in actions.values() or not (actions or held):
             continue
@@ -142,8 +130,8 @@ def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: S
         )
         reasons = {
             "the same driver": SAME_DRIVER * (module.driver == old.driver),
-            "the same name": SAME_NAME * (name == old.name),
-            "both carry": BOTH_CARRY * (module.about.manipulator and old.about.manipulator),
+            "the same name": SAME_NAME * (name == wanted),
+            "both carry": BOTH_CARRY * (module.manipulator and old.manipulator),
             "the same actions": ACTION * len(actions) + ARGUMENT * taken,
             "the same stations": STATION * len(held),
         }
@@ -153,11 +141,10 @@ def _choose(old: _Module, need: _Need, modules: Mapping[str, _Module], places: S
     return chosen, why
 
 
-def _list_misfits(name: str, module: _Module, need: _Need, places: Stations) -> Iterator[str]:
-    """The needs of the workflow that this module does not fulfil."""
-    new = module.name
+def _list_misfits(name: str, new: str, about: Description, need: _Need, places: Stations) -> Iterator[str]:
+    """The needs of the workflow that the module ``new`` does not fulfil."""
     for action, args in sorted(need.actions.items()):
-        spec = module.about.action(action)
+        spec = about.action(action)
         if spec is None:
             yield f"{new} has no action {action!r}, which {name} has."
             continue

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from labos.errors import SpecError
-from labos.spec.findings import FindingList
-from labos.spec.remarks import Remarks
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.source import NOWHERE, Place, make_plain, parse
 
 if TYPE_CHECKING:

@@ -8,13 +8,14 @@ commas, as spreadsheets of many countries write them) or tabs; UTF-8.
 from __future__ import annotations
 
 import re
-from typing import Protocol
 
 import msgspec
 
 from labos.core.labware import Sample
+from labos.core.model import WellGrid
 from labos.core.wells import normalise_well, parse_well, row_name
 from labos.spec.findings import FindingList, suggest_name
+from labos.spec.models import Wells
 from labos.spec.source import Place
 
 COLUMNS = ("plate", "well", "sample", "volume", "unit")
@@ -88,20 +89,9 @@ def read_sheet(text: str, report: FindingList) -> list[SheetLine]:
     return found
 
 
-class Grid(Protocol):
-    """The wells of a labware type."""
-
-    @property
-    def rows(self) -> int: ...
-
-    @property
-    def columns(self) -> int: ...
-
-    @property
-    def volume_ul(self) -> float: ...
-
-
-def check_wells(rows: list[SheetLine], labware: str, wells: Grid | None, report: FindingList) -> None:
+def check_wells(
+    rows: list[SheetLine], labware: str, wells: WellGrid | Wells | None, report: FindingList
+) -> None:
     """Check that the wells exist on a labware type, and can hold their volumes."""
     for row in rows:
         if report.errors >= MOST_FAULTS:

@@ -1,4 +1,4 @@
-"""``epics:`` and ``opcua:`` of a module's config: a table with the meaning of process variables.
+"""``epics:``, ``opcua:`` and ``sila:`` of a module's config: a table with the meaning of process variables.
 
 Names of process variables get the ``prefix``; ``pva://NAME`` or ``ca://NAME`` selects the protocol of EPICS.
 Texts may contain ``{argument}`` and ``{id}`` (LabOS' id of the action); a text that consists of only one of
@@ -133,3 +133,23 @@ class SignalMapping(DeviceMapping):
         if self.protocol == "ua" and "=" in name:  # a node id is used unchanged
             return "ua", name
         return self.protocol, self.prefix + name
+
+
+class SilaMapping(DeviceMapping):
+    """Data that are missing in the feature definitions of a SiLA 2 server. Properties are named
+    ``Feature.Property``, followed by the elements of the structure if the value is one. Commands are named
+    ``Feature.Command``. ``harmless`` are the identifiers of defined errors after which nothing has moved.
+    ``intermediate`` names the actions whose intermediate responses are kept. ``reset`` and ``stop`` are
+    commands without parameters."""
+
+    harmless: list[str] = []
+    intermediate: list[str] = []
+    reset: str = ""
+    stop: str = ""
+
+    @property
+    def properties(self) -> set[str]:
+        """All properties that the table names."""
+        conditions = [*self.state.busy, *self.state.error, *self.labware.values()]
+        names = {*self.resources.values(), *self.observe.values(), self.state.why}
+        return {name for name in names | {condition.pv for condition in conditions} if name}

@@ -56,9 +56,11 @@ class SourceMapping(dict[str, Any]):
 
     def take(self, other: SourceMapping, key: str, name: str = "") -> None:
         """Copy an entry with its places, under another name if one is given."""
-        self.put(
-            name or key, other[key], other.keys_at.get(key, other.at), other.values_at.get(key, other.at)
-        )
+        self.put(name or key, other[key], *other.find_places(key))
+
+    def find_places(self, key: str) -> tuple[Place, Place]:
+        """The places of a key and of its value; those of the mapping if the key is missing."""
+        return self.keys_at.get(key, self.at), self.values_at.get(key, self.at)
 
 
 class SourceList(list[Any]):

@@ -7,11 +7,10 @@ from msgspec.structs import replace
 from labos.core.branches import list_all_before, sort_by_predecessors
 from labos.core.model import MAIN, Window
 from labos.errors import SpecError
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.layout import Box, Layout, LayoutNode
 from labos.spec.models import StepEntry, Wait, Within
 from labos.spec.references import fill
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 
 

@@ -17,8 +17,7 @@ from labos.core.canonical import digest
 from labos.core.counts import Counter
 from labos.core.model import Description
 from labos.errors import BadInput, SpecError
-from labos.spec.findings import FindingList
-from labos.spec.remarks import Remarks
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.source import MAX_BYTES, Path_, Source, SourceList, SourceMapping, make_plain, parse, read
 from labos.spec.validation import validate
 

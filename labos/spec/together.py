@@ -5,9 +5,8 @@ from __future__ import annotations
 from labos.core.effects import Needs, Reads, Requires, Sets
 from labos.core.ids import local
 from labos.core.model import ActionSpec, Description, StationSpec, Together
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.models import ModuleEntry
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 from labos.spec.stations import Stations
 

@@ -9,9 +9,8 @@ from labos.core.ids import ModuleName, StationName
 from labos.core.model import Description, TransferWay
 from labos.core.structs import make_from
 from labos.errors import SpecError
-from labos.spec.findings import suggest_name
+from labos.spec.findings import Remarks, suggest_name
 from labos.spec.models import TransferEntry, WorkcellFile
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_
 from labos.spec.stations import Stations
 

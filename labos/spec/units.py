@@ -37,7 +37,7 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
     family = next((known for known in FAMILIES.values() if counted in known), {counted: 1.0})
     if given not in family:
         raise SpecError(
-            f"{what} is counted in {_show_unit(wanted)}; {unit!r} cannot be converted to it.",
+            f"{what} is counted in {wanted or 'pieces'}; {unit!r} cannot be converted to it.",
             remedy=f"Write one of {_list_units([name for name in family if name])}.",
         )
     # Divide by the greater factor: then whole results stay whole.
@@ -48,10 +48,6 @@ def in_unit(value: float | str, unit: str, wanted: str, what: str) -> float:
 def _simplify_unit(unit: str) -> str:
     """The form of a unit for the look-up: without regard to capitals and to the two signs for micro."""
     return unit.strip().lower().replace("µ", "u").replace("μ", "u")
-
-
-def _show_unit(unit: str) -> str:
-    return unit or "pieces"
 
 
 def _list_units(names: Sequence[str]) -> str:

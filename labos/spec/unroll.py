@@ -16,12 +16,11 @@ from labos.spec.carriers import TRANSFER, Carriers
 from labos.spec.defaults import Defaults
 from labos.spec.dialects import convert_workflow
 from labos.spec.files import FileFinder
-from labos.spec.findings import FindingList, make_finding
+from labos.spec.findings import FindingList, Remarks
 from labos.spec.layout import Box, Layout, LayoutNode, Leaf, Written
 from labos.spec.models import RetryEntry, RunSteps, StepEntry, WorkflowFile
 from labos.spec.payloads import find_unused
 from labos.spec.references import fill, has_key, list_keys
-from labos.spec.remarks import Remarks
 from labos.spec.source import Path_, Source
 from labos.spec.source import parse as parse_yaml
 from labos.spec.validation import validate
@@ -74,7 +73,6 @@ class Unroller:
             self._put_way_out(file.on_cancel, frame, payload)
         for leaf, frame, path in self._aside:
             self._put_aside(leaf, frame, path)
-        self.layout.settle()
         if not self.layout.leaves and not self.report.errors:
             remedy = "Check `when` and the lists of `for_each`, or do not submit it."
             Remarks(source, self.report).error("No step of this workflow is left.", ("steps",), remedy)
@@ -305,7 +303,7 @@ class Unroller:
         entry = written or node.entry
         entry = entry if path[-1] == "reset" else self.defaults.fill_in(entry, scope)
         leaf = Leaf(
-            len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node.box,
+            len(self.layout.leaves), key, entry, scope, frame.needed, (frame.source, path), node,
             foreign=frame.foreign, part=self._part, conditions=self._conditions,
         )  # fmt: skip
         self._aside.append((leaf, frame, path))
@@ -370,7 +368,7 @@ class Unroller:
                     what = f"`{key}` is allowed only in the submitted workflow, not in a file that it uses."
                     Remarks(form, report).error(what, (key,), "Write it there.", key=True)
         except SpecError as error:
-            self.report.keep(make_finding(error))
+            self.report.keep_error(error)
             return None
         self.report.take(report)
         if file is None or report.errors:

@@ -39,11 +39,8 @@ Corner = tuple[float, float, float]
 def write_urdf(file: DescriptionFile, name: str = "") -> str:
     """The URDF. Its meshes (``meshes``) must be in the same folder."""
     robot = ElementTree.Element("robot", name=name or file.driver)
-    robot.append(
-        ElementTree.Comment(
-            f" Made from the description of {_escape_comment(file.instrument)}; do not edit. "
-        )
-    )
+    instrument = file.instrument.replace("--", "- -")  # which would end the comment
+    robot.append(ElementTree.Comment(f" Made from the description of {instrument}; do not edit. "))
     used = {shape.colour for part in file.parts.values() for shape in part.shapes}
     for colour in sorted(used):
         material = ElementTree.SubElement(robot, "material", name=colour)
@@ -71,7 +68,7 @@ def name_station_link(name: str) -> str:
 
 def make_meshes() -> dict[str, bytes]:
     """The two meshes as binary STL, by file name."""
-    return {"box.stl": _encode_stl(_make_box()), "cylinder.stl": _encode_stl(_make_cylinder())}
+    return {"box.stl": _encode_stl(_make_box()), "cylinder.stl": _encode_stl(list(_iterate_cylinder()))}
 
 
 def _add_joint(
@@ -138,10 +135,6 @@ def _show_number(value: float) -> str:
     return f"{round(value, 12) + 0.0:.12g}"
 
 
-def _escape_comment(text: str) -> str:
-    return text.replace("--", "- -")
-
-
 def _make_box() -> list[tuple[Corner, Corner, Corner]]:
     found = []
     for axis in range(3):
@@ -157,11 +150,7 @@ def _turn_corner(axis: int, along: float, a: float, b: float) -> Corner:
     return at[0], at[1], at[2]
 
 
-def _make_cylinder() -> list[tuple[Corner, Corner, Corner]]:
-    return list(_iterate_slices())
-
-
-def _iterate_slices() -> Iterator[tuple[Corner, Corner, Corner]]:
+def _iterate_cylinder() -> Iterator[tuple[Corner, Corner, Corner]]:
     for number in range(SIDES):
         (ax, ay), (bx, by) = (
             (cos(2 * pi * corner / SIDES) / 2, sin(2 * pi * corner / SIDES) / 2)

@@ -10,9 +10,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from labos.spec.findings import MOST, FindingList, SpecErrors, suggest_name
+from labos.spec.findings import MOST, FindingList, Remarks, SpecErrors, suggest_name
 from labos.spec.mismatch import describe_mismatch
-from labos.spec.remarks import Remarks
 from labos.spec.source import Source, make_plain
 
 M = TypeVar("M", bound=BaseModel)
@@ -36,6 +35,24 @@ def expect_valid(model: type[M], source: Source, report: FindingList) -> M:
     if file is None:
         raise SpecErrors(report.sort_findings())
     return file
+
+
+def find_first_flaw(model: type[BaseModel], table: Any) -> str:
+    """The first fault of a table below ``config:``, as text after ``In `table:` ``; empty if it has none."""
+    try:
+        model.model_validate(table)
+    except ValidationError as errors:
+        return describe_flaw(errors)
+    return ""
+
+
+def describe_flaw(errors: ValidationError) -> str:
+    """The first of these errors, with its place."""
+    first = errors.errors(include_url=False)[0]
+    where = ".".join(map(str, first["loc"])) or "the table"
+    if first["type"] == "value_error":
+        return f"{where}: {first['msg'].removeprefix('Value error, ')}"
+    return f"{where}: {describe_mismatch(first)}"
 
 
 def _is_misspelt(error: Any, others: Sequence[Any]) -> bool:

@@ -16,12 +16,11 @@ from labos.errors import SpecError
 from labos.spec import rest
 from labos.spec.about import GENERIC, BadEffect, extend, make_about, make_description
 from labos.spec.bench import DEFAULT_LID, BenchFile, make_default_stock, read_stock
-from labos.spec.compile_stations import compile_stations
+from labos.spec.compile_stations import compile_stations, expand_shelves
 from labos.spec.defaults import make_setup, retry_of
 from labos.spec.dialects import convert_workcell
 from labos.spec.drafting import draft_modules, draft_stations, takes_lids_off
-from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding, suggest_name
-from labos.spec.flaws import find_first_flaw
+from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, list_findings, suggest_name
 from labos.spec.interfaces import (
     NATIVE,
     PLANNED,
@@ -32,12 +31,9 @@ from labos.spec.interfaces import (
 )
 from labos.spec.labware import load_packaged_labware, make_spec, read_own_labware
 from labos.spec.models import ANY, Amount, LabwareType, ModuleEntry, ShelfPoses, WorkcellFile
-from labos.spec.remarks import Remarks
 from labos.spec.ros import RosMapping
 from labos.spec.serving import list_drivers, list_models, match_driver, suggest_driver
-from labos.spec.shelves import expand_shelves
-from labos.spec.signals import SignalMapping
-from labos.spec.sila import SilaMapping
+from labos.spec.signals import SignalMapping, SilaMapping
 from labos.spec.source import Path_, Source, parse, read
 from labos.spec.stations import Stations
 from labos.spec.tables import (
@@ -52,7 +48,7 @@ from labos.spec.together import read_together
 from labos.spec.transfers import list_transfer_ways
 from labos.spec.units import in_unit
 from labos.spec.uses import Use, read_carriers
-from labos.spec.validation import expect_valid
+from labos.spec.validation import expect_valid, find_first_flaw
 
 MAPPINGS: Mapping[str, tuple[str, Callable[[Any], str]]] = {
     "rest_node": ("rest", rest.find_flaw),
@@ -73,8 +69,8 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
 
     workcell: Workcell
     bench: BenchFile
-    findings: tuple[Finding, ...] = ()
-    file: WorkcellFile | None = None
+    findings: tuple[Finding, ...]
+    file: WorkcellFile
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -84,7 +80,7 @@ class CompiledWorkcell(msgspec.Struct, frozen=True):
             entry.name: "there is no driver for it"
             if entry.active
             else "it is switched off (`active: false`)"
-            for entry in (self.file.modules if self.file is not None else ())
+            for entry in self.file.modules
             if entry.name not in there
         }
 
@@ -168,10 +164,8 @@ def validate_workcell(source: Source | str | Path, descriptions: Mapping[str, De
     try:
         source = source if isinstance(source, Source) else read(source, last_wins=True)
         return list(compile_workcell(source, descriptions).findings)
-    except SpecErrors as errors:
-        return list(errors.findings)
-    except SpecError as error:
-        return [make_finding(error)]
+    except (SpecError, SpecErrors) as error:
+        return list_findings(error)
 
 
 class _Modules:
@@ -248,7 +242,7 @@ class _Modules:
             source = read_source(form.data["modules"][path[-1]]["config"][kind.key], form, self.sent)
         except SpecError as error:
             if error.line or error.file:
-                self.remarks.report.keep(make_finding(error))
+                self.remarks.report.keep_error(error)
             else:
                 self.remarks.error(error.message, at, error.remedy)
             return None

@@ -19,13 +19,12 @@ from labos.spec.defaults import Defaults
 from labos.spec.dialects import convert_workflow
 from labos.spec.dryrun import DryRun
 from labos.spec.files import FileFinder
-from labos.spec.findings import Finding, FindingList, SpecErrors, make_finding
+from labos.spec.findings import Finding, FindingList, Remarks, SpecErrors, list_findings
 from labos.spec.layout import Origin, UnrolledRemarks
 from labos.spec.models import WhenBroken, WorkflowFile
 from labos.spec.paper import Piece
 from labos.spec.payloads import refuse_unused
 from labos.spec.planner import CompileInputs, StepPlanner
-from labos.spec.remarks import Remarks
 from labos.spec.results import check_results
 from labos.spec.source import Source, parse, read
 from labos.spec.unroll import Unroller, with_defaults
@@ -187,10 +186,8 @@ def validate_workflow(
     """The faults of a workflow; it never raises because of the content of the file or the payload."""
     try:
         return list(compile_workflow(source, payload, workcell, descriptions, **options).findings)
-    except SpecErrors as errors:
-        return list(errors.findings)
-    except SpecError as error:
-        return [make_finding(error)]
+    except (SpecError, SpecErrors) as error:
+        return list_findings(error)
 
 
 def _make_starting_labware(dry: DryRun, place: StationName, piece: Piece) -> StartingLabware:

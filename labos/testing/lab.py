@@ -113,7 +113,7 @@ class SimulatedLab(People):
     def close(self) -> None:
         """Discard the world. Suspended code is discarded too; because its ports are closed, it has no
         effect."""
-        for process in self._everybody:
+        for process in self.processes:
             process.on_death.clear()
             process.alive = False
         self.loop.run_until_complete(self._throw_away())
@@ -122,7 +122,7 @@ class SimulatedLab(People):
 
     async def _throw_away(self) -> None:
         mine = asyncio.current_task()
-        left = [task for process in self._everybody for task in process.tasks]
+        left = [task for process in self.processes for task in process.tasks]
         for task in [*left, *(task for task in asyncio.all_tasks() if task is not mine)]:
             with contextlib.suppress(BaseException):
                 coroutine = task.get_coro()

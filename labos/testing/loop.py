@@ -38,7 +38,7 @@ class Process:
         """Whether it died in a power cut of its machine, so that unsynced data are lost."""
         self.tasks: set[asyncio.Task[Any]] = set()
         self._after_thaw: list[Callable[[], object]] = []
-        self.on_death: list[Callable[[], None]] = []
+        self.on_death: list[Callable[[], object]] = []
 
     def kill(self, *, powerless: bool = False) -> None:
         """Kill the process: none of its code runs any more."""

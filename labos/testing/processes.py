@@ -114,7 +114,8 @@ class Processes:
         self.opened: list[Kernel] = []
         self._ids: dict[str, CountedIds] = {}
         self._clocks: dict[str, VirtualClock] = {}
-        self._everybody: list[Process] = []
+        self.processes: list[Process] = []
+        """All processes that ever existed."""
         self._process_of: dict[Kernel, Process] = {}
         self._serving: list[Kernel] = []
         self.before_restart: Callable[[], None] = lambda: None
@@ -122,11 +123,6 @@ class Processes:
     def files_of(self, bus: Bus) -> Files:
         """The place for the files of a node."""
         return NotedFiles(bus, "", Path())
-
-    @property
-    def processes(self) -> list[Process]:
-        """All processes that ever existed."""
-        return self._everybody
 
     def is_moving(self, module: str) -> bool:
         """Whether a module's device is visibly moving."""
@@ -160,7 +156,7 @@ class Processes:
         """A new process, with the clock of its machine."""
         clock = self._clocks.setdefault(machine, VirtualClock(self.loop))
         process = Process(name, clock)
-        self._everybody.append(process)
+        self.processes.append(process)
         return process
 
     def _start_kernel(self, machine: str = MACHINES[0]) -> None:
@@ -182,13 +178,13 @@ class Processes:
         return max(living, key=self.opened.index, default=None)
 
     def _list_living_kernels(self) -> list[Process]:
-        return [process for process in self._everybody if process.alive and is_kernel(process)]
+        return [process for process in self.processes if process.alive and is_kernel(process)]
 
     def _choose_peer(self, process: Process) -> Process | None:
         """A process with which a process communicates."""
         if not is_kernel(process):
             return next(iter(self._list_living_kernels()), None)
-        nodes = [other for other in self._everybody if other.alive and not is_kernel(other)]
+        nodes = [other for other in self.processes if other.alive and not is_kernel(other)]
         return self.rng.choice(nodes) if nodes else None
 
     def _watch_over(self, process: Process) -> None:
@@ -246,7 +242,7 @@ class Processes:
 
     def _bury(self, name: str) -> None:
         self.dead.add(name)
-        for process in self._everybody:
+        for process in self.processes:
             if process.name == f"node:{self.stand.workcell.name}/{name}":
                 process.kill()
         if name in self.mended:
@@ -261,11 +257,8 @@ class Processes:
             return
         process = self._make_process(f"node:{name}", name)
         process.on_death.append(lambda: self._schedule_restart(self._start_node, name))
-        process.on_death.append(lambda: self._forget_device(name))
+        process.on_death.append(lambda: self._devices.pop(name, None))
         self.loop.start(process, self._run_or_die(process, self._node_main(process, name)))
-
-    def _forget_device(self, name: str) -> None:
-        self._devices.pop(name, None)
 
     async def _node_main(self, process: Process, name: str) -> None:
         spec = next(m for m in self.stand.workcell.modules if m.name == name)

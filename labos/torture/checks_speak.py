@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import msgspec
@@ -106,10 +107,10 @@ async def check_happy_path(on: Session) -> None:
         used = {
             name: on.bench.world.find_level("device", name) for name in {**on.about.levels, **on.about.units}
         }
-        began = on.now()
+        began = time.monotonic()
         done = await on.ask_for(case)
         outcome = await on.learn(done)
-        on.took_s[case.action] = on.now() - began
+        on.took_s[case.action] = time.monotonic() - began
         if case.refused:
             _check_declined(case.action, case.refused, outcome)
             continue

@@ -4,20 +4,15 @@ works again afterwards."""
 from __future__ import annotations
 
 import asyncio
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
-from labos.node.protocol import Outcome
+from labos.node.protocol import AdminReply, Outcome
+from labos.node.torture import Case, Fault
 from labos.torture.bench import describe_deeds, find_repeated
 from labos.torture.checks_speak import require_wire
 from labos.torture.observation import observe_bench
+from labos.torture.relay import Mode, Relay
 from labos.torture.session import END_S, REST_S, TRIES, Attempt, Failed, LeftOut, Session, key_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from labos.node.protocol import AdminReply, Outcome
-    from labos.node.torture import Case, Fault
-    from labos.torture.relay import Mode, Relay
 
 HELD_S = 20.0
 """The delay of a reply that is held back, if the driver has not stopped waiting before."""

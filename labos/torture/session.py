@@ -116,10 +116,6 @@ class Session:
         assert spec is not None
         return spec
 
-    @staticmethod
-    def now() -> float:
-        return time.monotonic()
-
     # -- start and end -----------------------------------------------------------------------
 
     async def open(self) -> None:
@@ -502,15 +498,6 @@ class Session:
 
     # -- recovery ----------------------------------------------------------------------------
 
-    def restore_device(self) -> bool:
-        """Give the device power and repair the line; returns whether the device had to be switched on."""
-        if self.relay is None:
-            return False
-        self.repair_line()
-        if wrong := not self.powered or self.slowness != 1.0:
-            self.slow_down(1.0)
-        return wrong
-
     def repair_line(self) -> None:
         """Plug the line in, if there is one, and spoil nothing on it any more."""
         if self.relay is not None:
@@ -564,7 +551,10 @@ class Session:
     async def make_ready(self) -> None:
         """After any earlier check, make sure that the node runs, the device is at rest and the line is whole.
         A device that had to be switched on is reset afterwards. Raises Failed."""
-        fresh = self.restore_device()
+        self.repair_line()
+        fresh = self.relay is not None and (not self.powered or self.slowness != 1.0)
+        if fresh:
+            self.slow_down(1.0)
         with contextlib.suppress(NoAnswer):
             if self._process is not None and self._process.poll() is None:
                 state = await self.kernel.state()

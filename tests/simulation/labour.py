@@ -206,7 +206,7 @@ class Witnessed(SimulatedLab):
             return
         if kind == "no kernel":
             self.kernel_died = lasts_s
-            next(p for p in self._everybody if p.name == f"kernel{self.kernels}").kill()
+            next(p for p in self.processes if p.name == f"kernel{self.kernels}").kill()
             self.spells.append((kind, began, began + lasts_s))
             return
         ask, undo = {

@@ -143,7 +143,7 @@ class Lonely(SimulatedLab):
     async def _act_as_person(self) -> None:
         if self.kill:
             await asyncio.sleep(self.after_s)
-            for process in self._everybody:
+            for process in self.processes:
                 if process.name == f"node:corner/{self.kill}" and process.alive:
                     process.kill()
         await asyncio.Event().wait()

@@ -80,9 +80,9 @@ class Watched(SimulatedLab):
     """Remembers when each process was away (seconds of virtual time)."""
 
     def _start_node(self, name: str) -> None:
-        before = len(self._everybody)
+        before = len(self.processes)
         super()._start_node(name)
-        if len(self._everybody) > before:
+        if len(self.processes) > before:
             self._watch(name)
 
     def _start_kernel(self, *machine: str) -> None:
@@ -93,7 +93,7 @@ class Watched(SimulatedLab):
         spells = self.away.setdefault(name, [])
         if spells:
             spells[-1][1] = self.loop.time()
-        self._everybody[-1].on_death.append(lambda: spells.append([self.loop.time(), float("inf")]))
+        self.processes[-1].on_death.append(lambda: spells.append([self.loop.time(), float("inf")]))
 
     @property
     def away(self) -> dict[str, list[list[float]]]:

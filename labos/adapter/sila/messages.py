@@ -233,10 +233,7 @@ class Messages:
             case Named():
                 return self._get(package, field, data_type.name, self._types[package][data_type.name])
             case Structure():
-                return {
-                    element.name: self._get(package, field, element.name, element.type)
-                    for element in data_type.elements
-                }
+                return self._read_values(package, field, data_type.elements)
             case Basic():
                 return _READ.get(data_type.name, lambda field: field.value)(field)
             case ListOf():

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator
+import json
 from typing import Any, ClassVar
 
 from labos.adapter._channels import SETTLED, ChannelReading
@@ -19,11 +19,11 @@ from labos.adapter._http import NoResponse
 from labos.adapter.sila.client import Client, SilaError, read_certificate
 from labos.adapter.sila.describe import actions_of, find_command, find_property, simplify_name
 from labos.adapter.sila.features import SilaCommand
-from labos.adapter.sila.results import as_lines, result_with_files, with_files
 from labos.core.model import ActionSpec, Description
 from labos.errors import DeviceError, OutcomeUnknown
+from labos.node.files import Attachment
 from labos.node.node import Setup
-from labos.spec.sila import SilaMapping
+from labos.spec.signals import SilaMapping
 
 START_S = 30.0
 """How long a server may take to say that it has started an observable command."""
@@ -221,7 +221,7 @@ class SilaNode(ConditionNode):
         await self.note_handle(SENT)
         try:
             if not command.observable:
-                return result_with_files(await self._answer(spec, command, data))
+                return _make_result_with_files(await self._answer(spec, command, data))
             execution = await self.client.initiate(command, data, limit_s=START_S)
         except SilaError as error:
             raise self._make_failure(command.full_name, error) from error
@@ -284,16 +284,16 @@ class SilaNode(ConditionNode):
     async def _read_outcome(self, spec: ActionSpec, command: SilaCommand, execution: str) -> Any:
         """The result of an execution, with its intermediate responses if these should be stored."""
         if spec.name not in self.mapping.intermediate or not command.intermediate:
-            return result_with_files(await self._end(command, execution))
+            return _make_result_with_files(await self._end(command, execution))
         responses: list[dict[str, Any]] = []
         listening = asyncio.ensure_future(self._listen(command, execution, responses))
         try:
-            result = result_with_files(await self._end(command, execution))
+            result = _make_result_with_files(await self._end(command, execution))
             # The last reported responses may still be on their way.
             await asyncio.wait({listening}, timeout=self.poll_s)
         finally:
             listening.cancel()
-        return with_files(result, {"intermediate": as_lines(responses)})
+        return _add_files(result, {"intermediate": _write_lines(responses)})
 
     async def _listen(self, command: SilaCommand, execution: str, responses: list[dict[str, Any]]) -> None:
         """Store the intermediate responses of an execution; those during a broken connection are lost."""
@@ -316,7 +316,8 @@ class SilaNode(ConditionNode):
         while True:
             over = False
             try:
-                async with contextlib.aclosing(self._watch_execution(command, execution)) as infos:
+                watching = self.client.watch_execution(command, execution, limit_s=WATCH_S)
+                async with contextlib.aclosing(watching) as infos:
                     async for status in infos:
                         if over := status in (FINISHED, FAILED):
                             break
@@ -338,9 +339,6 @@ class SilaNode(ConditionNode):
                     raise
                 silence.go_on(refused)  # the query was refused, which shows nothing about the execution
             await asyncio.sleep(self.poll_s)
-
-    def _watch_execution(self, command: SilaCommand, execution: str) -> AsyncGenerator[int, None]:
-        return self.client.watch_execution(command, execution, limit_s=WATCH_S)
 
     async def _wait_until_at_rest(self) -> None:
         """Wait while the device is busy; it may not have started the last command yet. Raises OutcomeUnknown
@@ -380,3 +378,22 @@ class MadsciSilaNode(SilaNode):
     def complete(self, address: str) -> str:
         _, colon, port = address.rpartition(":")
         return address if not address or (colon and port.isdecimal()) else f"{address}:{MADSCI_PORT}"
+
+
+def _make_result_with_files(responses: dict[str, Any]) -> Any:
+    """A result: values by the names of the responses, with references for files."""
+    files = {name: Attachment(name, value) for name, value in responses.items() if isinstance(value, bytes)}
+    plain = {name: value for name, value in responses.items() if name not in files}
+    return _add_files(plain or None, files) if files else plain or None
+
+
+def _add_files(result: Any, files: dict[str, Attachment]) -> dict[str, Any]:
+    """A result with more files."""
+    full = dict(result) if isinstance(result, dict) else {}
+    return {**full, "files": {**full.get("files", {}), **files}}
+
+
+def _write_lines(responses: list[dict[str, Any]]) -> Attachment:
+    """Values as lines of JSON."""
+    lines = [json.dumps(values, default=lambda value: value.hex()) + "\n" for values in responses]
+    return Attachment("intermediate.jsonl", "".join(lines).encode())

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from labos.errors import SpecError
-from labos.spec.dialects import madsci, opentrons, wei
+from labos.spec.dialects import _madsci_workcell, _madsci_workflow, opentrons, wei
 from labos.spec.dialects.wei import NOBODYS as NOBODYS
 from labos.spec.findings import FindingList
 from labos.spec.source import Place, Source
@@ -58,8 +58,8 @@ def find_kind(source: Source) -> tuple[Kind, Dialect] | None:
     if "flowdef" in data:
         return "workflow", "labos" if own else "wei"
     if "steps" in data:
-        return "workflow", "madsci" if madsci.is_workflow(source) else "labos"
-    if madsci.is_workcell(source):
+        return "workflow", "madsci" if _madsci_workflow.is_workflow(source) else "labos"
+    if _madsci_workcell.is_workcell(source):
         return "workcell", "madsci"
     if "modules" in data:
         return "workcell", "labos" if own or OWN_KEYS & data.keys() else "wei"
@@ -79,8 +79,8 @@ def convert_workcell(source: Source, report: FindingList) -> tuple[Source, Diale
     if "labos" in data or OWN_KEYS & data.keys():
         return _check_own(source), "labos"
     _warn_of_doubles(source, report)
-    if madsci.is_workcell(source):
-        return madsci.rewrite_workcell(source, report), "madsci"
+    if _madsci_workcell.is_workcell(source):
+        return _madsci_workcell.rewrite_workcell(source, report), "madsci"
     return wei.rewrite_workcell(source, report), "wei"
 
 
@@ -90,9 +90,9 @@ def convert_workflow(source: Source, report: FindingList) -> tuple[Source, Diale
     if "labos" not in data and "flowdef" in data:
         _warn_of_doubles(source, report)
         return wei.rewrite_workflow(source, report), "wei"
-    if madsci.is_workflow(source):
+    if _madsci_workflow.is_workflow(source):
         _warn_of_doubles(source, report)
-        return madsci.rewrite_workflow(source, report), "madsci"
+        return _madsci_workflow.rewrite_workflow(source, report), "madsci"
     return _check_own(source), "labos"
 
 

@@ -63,9 +63,9 @@ class TransferTemplates:
             return
         ends = {"from": source, "to": target}
         for name in (name for name in ends.values() if name and name not in self.places):
-            self.reader.warn_of_assumption(
-                path,
+            self.reader.add_warning(
                 f"No location is called {name!r}: these transfers are left out.",
+                path,
                 "Check the name.",
                 key=True,
             )
@@ -112,10 +112,10 @@ class TransferTemplates:
     def _read_capacity(self, table: SourceMapping, path: Path_) -> None:
         config = self.reader.expect_table(table.get("capacity_cost_config"), path, "`capacity_cost_config`")
         if config.get("enabled"):
-            self.reader.warn_of_assumption(
-                path,
+            self.reader.add_warning(
                 "In LabOS, the cost of a transfer does not depend on how full its target is; a "
                 "transfer waits until there is room.",
+                path,
                 "To avoid a place, give it its own way with a higher `cost:`.",
                 key=True,
             )

@@ -1,4 +1,9 @@
-"""MADSci's nodes, locations and resource templates, as a workcell."""
+"""MADSci's nodes, locations and resource templates, as a workcell (MADSci 0.8).
+
+The file is the lab's ``settings.yaml`` (``workcell_nodes: {name: url}``, ``location_locations``,
+``resource_default_templates``) with the ``locations.yaml`` beside it, or a workcell manager's definition
+(``name, nodes, locations``).
+"""
 
 from __future__ import annotations
 
@@ -93,8 +98,8 @@ class _Workcell:
             self.reader.take_name(out, SourceMapping())
         if _BAD.search(out["name"]):
             out["name"] = _BAD.sub("_", out["name"])
-            self.reader.warn_of_assumption(
-                (), f"The workcell is called {out['name']!r} here.", "Give it another name."
+            self.reader.add_warning(
+                f"The workcell is called {out['name']!r} here.", (), "Give it another name."
             )
 
     def _read_node(self, name: str, url: Any, path: Path_) -> None:
@@ -108,13 +113,13 @@ class _Workcell:
         module, config = SourceMapping(at), SourceMapping(at, {"node_url": url})
         scheme = url.partition("://")[0].lower()
         if scheme not in INTERFACES:
-            self.reader.warn_of_assumption(
-                path, f"LabOS does not know how to reach {url!r}.", "Write http:// or sila://."
+            self.reader.add_warning(
+                f"LabOS does not know how to reach {url!r}.", path, "Write http:// or sila://."
             )
         called = _BAD.sub("_", name)
         if called != name:
-            self.reader.warn_of_assumption(
-                path, f"The node {name!r} is called {called!r} here.", "Rename it.", key=True
+            self.reader.add_warning(
+                f"The node {name!r} is called {called!r} here.", path, "Rename it.", key=True
             )
         module.put("name", called, self.source.place(path, key=True), self.source.place(path, key=True))
         module.put("interface", INTERFACES.get(scheme, scheme))
@@ -132,7 +137,7 @@ class _Workcell:
                     written.take(self.data, name, key)
         templates: dict[str, SourceMapping] = {}
         for key in ("resource_default_templates", "default_templates"):
-            templates |= self._sort_by_name(Reader(self.source, self.reader.report), self.data, key)
+            templates |= self._sort_by_name(self.reader, self.data, key)
         self._add(self.reader, written, templates, None)
 
     def _read_locations_beside(self) -> None:
@@ -247,7 +252,7 @@ class _Location:
         self.kind, self.capacity = "nest", 1
 
     def warn(self, message: str) -> None:
-        self.reader.warn_of_assumption(self.path, message, "Check the name.")
+        self.reader.add_warning(message, self.path, "Check the name.")
 
     def read(
         self,

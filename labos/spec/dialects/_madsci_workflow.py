@@ -1,4 +1,5 @@
-"""MADSci's steps, as steps of a LabOS workflow."""
+"""MADSci's steps, as steps of a LabOS workflow (MADSci 0.8): ``name, metadata, parameters, steps[name, key,
+node, action, args, locations, files, use_parameters, data_labels, conditions]``."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from typing import Any
 
 from labos.spec.carriers import TRANSFER
 from labos.spec.dialects._madsci_parameters import ALIASES, Parameters
-from labos.spec.dialects._reader import Reader, find_places, is_number
+from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import FindingList, suggest_name
 from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
@@ -73,15 +74,15 @@ class _Workflow:
                 steps.put(form, step.at)
                 last = index
         if self.pause is not None:
-            self.reader.warn_of_assumption(
-                ("steps", len(self.steps) - 1),
+            self.reader.add_warning(
                 "The wait at the end has no effect; it is left out.",
+                ("steps", len(self.steps) - 1),
                 "Add a step.",
             )
         parameters = self.parameters.make_form(data.at)
         if parameters:
-            out.put("parameters", parameters, *find_places(data, "parameters"))
-        out.put("steps", steps, *find_places(data, "steps"))
+            out.put("parameters", parameters, *data.find_places("parameters"))
+        out.put("steps", steps, *data.find_places("steps"))
         known = {"name", "description", "steps", "workflow_definition_id", *METADATA, *ALIASES}
         self.reader.ignore_others(data, known)
         done = self.reader.finish(out)
@@ -122,7 +123,7 @@ class _Workflow:
             self._wait(action[0], arguments, path, last)
             return None
         out = SourceMapping(step.at)
-        name_at = find_places(step, "name")
+        name_at = step.find_places("name")
         out.put("name", self._find_name(step, index), *name_at)
         if node is not None:
             out.put("module", node[0], *node[1])
@@ -142,7 +143,7 @@ class _Workflow:
     ) -> tuple[str, Any] | None:
         """The node or action with its places. If a parameter decides it, it comes from the payload."""
         if used.get(key) is None:
-            return None if step.get(key) is None else (str(step[key]), find_places(step, key))
+            return None if step.get(key) is None else (str(step[key]), step.find_places(key))
         parameter = used[key]
         if isinstance(parameter, SourceMapping):
             parameter = self.parameters.declare(parameter, (*path, key))
@@ -152,7 +153,7 @@ class _Workflow:
                 (*path, key),
                 remedy=f"Write `{key}:` itself, or take it from an input.",
             )
-        return self._read_value(0, parameter, (*path, key)), find_places(used, key)
+        return self._read_value(0, parameter, (*path, key)), used.find_places(key)
 
     def _arguments(
         self, index: int, step: SourceMapping, used: SourceMapping, used_key: str
@@ -276,17 +277,17 @@ class _Workflow:
         for name, value in arguments.items():
             if name == "await_completion":
                 if value is False:
-                    self.reader.warn_of_assumption(
-                        path,
+                    self.reader.add_warning(
                         "The next step begins when the transfer has ended.",
+                        path,
                         "Leave it out, or say `after:`.",
                     )
                 continue
-            out.put(TRANSFERS[action].get(name, name), value, *find_places(arguments, name))
+            out.put(TRANSFERS[action].get(name, name), value, *arguments.find_places(name))
         if action == TRANSFER_CONTENTS:
-            self.reader.warn_of_assumption(
-                path,
+            self.reader.add_warning(
                 "One piece of labware is moved: from a stack, the one on top.",
+                path,
                 "Repeat the step if the location holds more.",
             )
         return out
@@ -303,14 +304,14 @@ class _Workflow:
         seconds: Any = arguments.get("seconds")
         if isinstance(seconds, str) and seconds.startswith("payload."):
             seconds = self.parameters.find_default(seconds.removeprefix("payload."))
-            self.reader.warn_of_assumption(
-                path, "The time to wait is the parameter's default.", "Write the seconds."
+            self.reader.add_warning(
+                "The time to wait is the parameter's default.", path, "Write the seconds."
             )
         if not is_number(seconds) or seconds < 0:
             raise self.source.error("The step does not say how long.", path, remedy="Write `seconds:`.")
         if last is None:
-            self.reader.warn_of_assumption(
-                path, "The wait at the start has no effect; it is left out.", "Remove it."
+            self.reader.add_warning(
+                "The wait at the start has no effect; it is left out.", path, "Remove it."
             )
             return
         self.pause = (seconds + (self.pause[0] if self.pause else 0), last)

@@ -6,20 +6,16 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import PurePath
 from typing import Any
 
-from labos.spec.findings import FindingList
-from labos.spec.remarks import Remarks
-from labos.spec.source import Path_, Place, Source, SourceList, SourceMapping
+from labos.spec.findings import Remarks
+from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
 
-class Reader:
-    """Converts one file to LabOS' form."""
-
-    def __init__(self, source: Source, report: FindingList) -> None:
-        self.source, self.report = source, report
+class Reader(Remarks):
+    """Converts one file to LabOS' form, with a warning for each assumption."""
 
     def ignore(self, path: Path_, why: str = "is not used by LabOS") -> None:
         message = f"The key {path[-1]!r} {why}."
-        self.warn_of_assumption(path, message, "It is ignored; remove it if you can.", key=True)
+        self.add_warning(message, path, "It is ignored; remove it if you can.", key=True)
 
     def ignore_others(self, table: Iterable[str], known: Collection[str], path: Path_ = ()) -> None:
         """Report the keys of a table that are not known."""
@@ -50,10 +46,6 @@ class Reader:
         remedy = f"Write {what} below it, each with a dash."
         raise self.source.error(f"`{path[-1]}` must be a list.", path, remedy=remedy)
 
-    def warn_of_assumption(self, path: Path_, message: str, remedy: str, *, key: bool = False) -> None:
-        """Warn of an assumption that LabOS makes because the file has no value."""
-        Remarks(self.source, self.report).add_warning(message, path, remedy, key=key)
-
     def take_name(self, out: SourceMapping, metadata: SourceMapping) -> None:
         """Set the name from the root, from the metadata, or from the file's name."""
         if isinstance(self.source.data.get("name"), str):
@@ -70,11 +62,6 @@ class Reader:
 
     def finish(self, out: SourceMapping) -> Source:
         return Source(self.source.file, out, self.source.digest, self.source.folder)
-
-
-def find_places(table: SourceMapping, key: str) -> tuple[Place, Place]:
-    """The places of a key and of its value; those of the table if the key is missing."""
-    return table.keys_at.get(key, table.at), table.values_at.get(key, table.at)
 
 
 def is_number(value: Any) -> bool:

@@ -7,7 +7,6 @@ front left corner, ``parameters.loadName``, ``metadata.displayName``.
 from __future__ import annotations
 
 import re
-from typing import Any
 
 from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import FindingList
@@ -32,17 +31,13 @@ def rewrite_labware(source: Source, report: FindingList) -> Source:
     kind = SourceMapping(at)
     if isinstance(metadata.get("displayName"), str):
         kind.take(metadata, "displayName", "description")
-    kind.put("footprint", _read_footprint(reader), *_find_spot(source, "dimensions"))
+    kind.put("footprint", _read_footprint(reader), *data.find_places("dimensions"))
     wells = _read_wells(reader, kind["footprint"])
     if wells is not None:
-        kind.put("wells", wells, *_find_spot(source, "wells"))
+        kind.put("wells", wells, *data.find_places("wells"))
     version = data.get("version")
     kind.put("source", f"Opentrons, {data.get('namespace', 'unknown')}/{written}, version {version}")
     return reader.finish(SourceMapping(at, {"labware": SourceMapping(at, {name: kind})}))
-
-
-def _find_spot(source: Source, key: str) -> tuple[Any, Any]:
-    return source.place((key,), key=True), source.place((key,))
 
 
 def _read_number(reader: Reader, table: SourceMapping, key: str, path: tuple[str, ...]) -> float:
@@ -78,9 +73,9 @@ def _read_wells(reader: Reader, footprint: SourceMapping) -> SourceMapping | Non
     if pitch > 0:
         volume = _read_number(reader, written[names[0][0]], "totalLiquidVolume", ("wells", names[0][0]))
     if volume <= 0:
-        reader.warn_of_assumption(
-            ("wells",),
+        reader.add_warning(
             "The wells are not in a regular grid; they are left out.",
+            ("wells",),
             "Write them yourself.",
         )
         return None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from labos.spec.dialects._reader import Reader, find_places, is_number
+from labos.spec.dialects._reader import Reader, is_number
 from labos.spec.findings import FindingList
 from labos.spec.source import Path_, Source, SourceList, SourceMapping
 
@@ -40,7 +40,7 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
     out = SourceMapping(data.at)
     config = reader.expect_table(data.get("config"), ("config",), "`config`")
     reader.take_name(out, SourceMapping())
-    out.put("config", config, *find_places(data, "config"))
+    out.put("config", config, *data.find_places("config"))
     locations, others = _read_locations(reader)
     modules = SourceList(source.place(("modules",)))
     for index, entry in enumerate(reader.expect_row("modules", "the modules")):
@@ -57,8 +57,8 @@ def rewrite_workcell(source: Source, report: FindingList) -> Source:
     }
     if nobodys:
         config.put(NOBODYS, SourceMapping(locations.at, nobodys))
-    out.put("modules", modules, *find_places(data, "modules"))
-    out.put("locations", locations, *find_places(data, "locations"))
+    out.put("modules", modules, *data.find_places("modules"))
+    out.put("locations", locations, *data.find_places("locations"))
     metadata = reader.expect_table(data.get("metadata"), ("metadata",), "`metadata`")
     for key in ("description", "info"):
         if isinstance(metadata.get(key), str) and "description" not in out:
@@ -94,7 +94,7 @@ def _rewrite_module(
             out.take(module, key, "comment")
         else:
             reader.ignore(at)
-    out.put("config", config, *find_places(module, "config"))
+    out.put("config", config, *module.find_places("config"))
     return out
 
 
@@ -107,7 +107,7 @@ def _rewrite_coordinates(
         return
     count = f"{len(value)} numbers" if isinstance(value, list) else repr(value)
     message = f"Coordinates are x, y, z and a quaternion, seven numbers; here are {count}."
-    reader.warn_of_assumption(path, message, "They are ignored; write seven numbers.")
+    reader.add_warning(message, path, "They are ignored; write seven numbers.")
 
 
 def _rewrite_positions(reader: Reader, module: SourceMapping, path: Path_, locations: SourceMapping) -> None:
@@ -161,11 +161,11 @@ def _read_locations(reader: Reader) -> tuple[SourceMapping, dict[str, SourceMapp
             if isinstance(joints, list) and all(is_number(joint) for joint in joints):
                 kept.take(value, place)
                 continue
-            at = find_places(value, place)
+            at = value.find_places(place)
             kept.put(place, SourceList(at[1]), *at)
             if joints is not None:
                 others.setdefault(owner, SourceMapping(at[0])).put(place, joints, *at)
-        out.put(owner, kept, *find_places(written, owner))
+        out.put(owner, kept, *written.find_places(owner))
     return out, others
 
 
@@ -182,20 +182,20 @@ def rewrite_workflow(source: Source, report: FindingList) -> Source:
     for key in ABOUT:
         if key in data:
             about.take(data, key)
-    out.put("metadata", about, *find_places(data, "metadata"))
+    out.put("metadata", about, *data.find_places("metadata"))
     if isinstance(data.get("workcell"), str):
         out.take(data, "workcell")
     if data.get("modules") is not None:
-        out.put("modules", _list_module_names(reader), *find_places(data, "modules"))
+        out.put("modules", _list_module_names(reader), *data.find_places("modules"))
     parameters = _read_parameters(reader)
     if parameters:
-        out.put("parameters", parameters, *find_places(data, "parameters"))
+        out.put("parameters", parameters, *data.find_places("parameters"))
     steps = SourceList(source.place(("flowdef",)))
     for index, entry in enumerate(reader.expect_row("flowdef", "the steps")):
         path = ("flowdef", index)
         step = _Step(reader, reader.expect_table(entry, path, "A step"), path, parameters)
         steps.put(step.make_form(), source.place(path))
-    out.put("steps", steps, *find_places(data, "flowdef"))
+    out.put("steps", steps, *data.find_places("flowdef"))
     known = {"name", "metadata", "modules", "flowdef", "workcell", "parameters", *ABOUT}
     reader.ignore_others(data, known)
     form = reader.finish(out)
@@ -244,7 +244,7 @@ class _Step:
     def __init__(self, reader: Reader, step: SourceMapping, path: Path_, parameters: SourceMapping) -> None:
         self.reader, self.step, self.path, self.parameters = reader, step, path, parameters
         self.out = SourceMapping(step.at)
-        self.arguments = SourceMapping(find_places(step, "args")[1])
+        self.arguments = SourceMapping(step.find_places("args")[1])
 
     def make_form(self) -> SourceMapping:
         step, out = self.step, self.out
@@ -257,7 +257,7 @@ class _Step:
         for key in ("module", "action"):
             if key in out:
                 out[key] = self._fill(out[key])
-        out.put("args", self.arguments, *find_places(step, "args"))
+        out.put("args", self.arguments, *step.find_places("args"))
         return out
 
     def _rewrite_entry(self, key: str, value: Any, at: Path_) -> None:

@@ -12,8 +12,8 @@ import pytest
 from labos.adapter._channels import ChannelReading
 from labos.adapter._signals import encode_array
 from labos.errors import DeviceError
-from labos.spec.flaws import find_first_flaw
 from labos.spec.signals import SignalMapping
+from labos.spec.validation import find_first_flaw
 
 
 def read(values: Any) -> Any:

@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from labos.spec import parse_workflow, validate_workflow
-from labos.spec.flaws import find_first_flaw
 from labos.spec.mismatch import explain_plainly
 from labos.spec.models import WorkcellFile, WorkflowFile
+from labos.spec.validation import find_first_flaw
 
 LIBRARY = (
     "List",
