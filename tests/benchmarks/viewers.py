@@ -25,10 +25,10 @@ from labos.http.desk import Desk
 from labos.http.feed import Feed
 from labos.http.identity import Gate
 from labos.http.letters import Letters
+from labos.http.parts import Supervised
 from labos.http.server import HttpServer, Listening
 from labos.http.service import LabService
 from labos.http.viewers import Viewers
-from labos.http.views import Supervised
 from labos.node.protocol import Keys
 from labos.node.world import World
 from labos.ports import BlobStore
