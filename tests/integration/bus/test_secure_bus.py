@@ -391,6 +391,7 @@ def test_a_renewed_certificate_is_used(site: Site) -> None:
 
 def test_a_revoked_certificate_speaks_no_more(site: Site) -> None:
     """As soon as the bus is opened anew without it; the others find their way back."""
+    await_connected(site, "viewer")  # an earlier test may have opened the bus anew
     assert site.hears("viewer", KEYS.events("*")) == [KEYS.events("run")]
     site.does("rest", "viewer")
     if site.secure:
@@ -400,7 +401,14 @@ def test_a_revoked_certificate_speaks_no_more(site: Site) -> None:
     wait_until(
         lambda: site.does("get", "stop", KEYS.operation(SEALER, "admin"), "{}"), "the stranger is back"
     )
+    if not site.secure:
+        await_connected(site, "viewer")
     assert (site.hears("viewer", KEYS.events("*")) == []) is site.secure
+
+
+def await_connected(site: Site, who: str) -> None:
+    """The stranger's session has found the bus: Zenoh tries again by itself, after up to some seconds."""
+    wait_until(lambda: site.does("sees", who, "labos/@round-trip"), f"{who} is connected")
 
 
 async def await_heard_again(site: Site) -> None:
