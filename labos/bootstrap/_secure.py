@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
+from labos.bus import MEMBERS as MEMBERS_KEY
 from labos.bus import SCHEME, Onlooker, Security, Unheard, ZenohBus
 from labos.clock import SystemClock
 from labos.core.ids import ModuleName
@@ -224,14 +225,14 @@ class MembersExchange:
 
     async def start(self) -> None:
         if self._received is not None:
-            await self._bus.subscribe(MEMBERS, self._on_list)
+            await self._bus.subscribe(MEMBERS_KEY, self._on_list)
 
     async def send(self) -> None:
         """Send a new list at once, and an unchanged one from time to time. Raises LabosError."""
         now = asyncio.get_running_loop().time()
         data = await asyncio.to_thread(self._read)
         if data and (data != self._sent or now - self._at >= REPEAT_S):
-            await self._bus.publish(MEMBERS, data)
+            await self._bus.publish(MEMBERS_KEY, data)
             self._sent, self._at = data, now
 
     def _on_list(self, _: str, data: bytes) -> None:
