@@ -314,7 +314,7 @@ def find_refusal(lab: Up) -> str:
     return ""
 
 
-def motion_begun(lab: Up, url: str, *options: str) -> list[str]:
+def start_two_runs(lab: Up, url: str, *options: str) -> list[str]:
     """A lab on this database with two PCRs on their way; returns these."""
     lab.options = ("--simulate", "--speed", "800", "--quiet", "--database", url, *options)
     lab.start_with(*PCR, "hidex")
@@ -360,7 +360,7 @@ def test_a_database_that_freezes_counts_as_lost(up: Up, server: PostgresServer, 
     """Its system goes on acknowledging what is sent: no connection ever breaks by itself."""
     url = server.create_database("lab")
     loss = "stop" if then == "stop" else "wait"
-    runs = motion_begun(up, url, "--on-database-loss", loss, "--database-silence", f"{SILENT_S:g}")
+    runs = start_two_runs(up, url, "--on-database-loss", loss, "--database-silence", f"{SILENT_S:g}")
     process = up.process
     assert process is not None
     server.freeze()
@@ -395,7 +395,7 @@ def test_a_commit_whose_answer_never_comes_is_found_and_not_repeated(up: Up, ser
     line = Cable(server.port)
     url = server.create_database("lab").replace(f":{server.port}/", f":{line.port}/")
     try:
-        runs = motion_begun(up, url, "--on-database-loss", "wait", "--database-silence", f"{SILENT_S:g}")
+        runs = start_two_runs(up, url, "--on-database-loss", "wait", "--database-silence", f"{SILENT_S:g}")
         for times in range(1, 4):
             line.deaf.clear()
             line.deaf_after = b"COMMIT"

@@ -126,8 +126,8 @@ def pair(tmp_path: Path, postgres_url: str) -> Iterator[Pair]:
     made.clean_up()
 
 
-def motion_begun(pair: Pair, actions: int) -> None:
-    """So many actions have been asked for."""
+def await_requests(pair: Pair, actions: int) -> None:
+    """Until so many actions were requested."""
     until(lambda: pair.first.types().count("action.requested") >= actions, "the lab is at work")
 
 
@@ -175,7 +175,7 @@ def test_a_standby_takes_the_place_of_a_kernel_that_is_killed(
     pair.start(workcell)
     with pair.first.client() as client:
         runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
-        motion_begun(pair, 2)
+        await_requests(pair, 2)
         before = {m["name"]: m["process"]["pid"] for m in client.state(waits=False)["modules"]}
     killed = time.time()
     pair.first.kill()
@@ -195,7 +195,7 @@ def test_a_standby_takes_over_on_a_secure_bus(secure_pair: Pair, workcell: str, 
     secure_pair.start(workcell)
     with secure_pair.first.client() as client:
         runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
-        motion_begun(secure_pair, 2)
+        await_requests(secure_pair, 2)
     secure_pair.first.kill()
     until(secure_pair.second.is_there, "the second kernel answers")
     secure_pair.runs_ended(runs)
@@ -209,7 +209,7 @@ def test_a_kernel_and_its_bus_die_together(pair: Pair, workcell: str, workflow: 
     pair.start(workcell)
     with pair.first.client() as client:
         runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
-        motion_begun(pair, 2)
+        await_requests(pair, 2)
     pair.bus.kill()
     pair.first.kill()
     pair.bus.wait()
@@ -317,7 +317,7 @@ def test_a_database_that_was_away_costs_no_kernel(
         pair.start(workcell)
         with pair.first.client() as client:
             runs = [client.submit(workflow, user=user) for user in ("ada", "bo")]
-            motion_begun(pair, 2)
+            await_requests(pair, 2)
             server.stop(immediate=True)
             time.sleep(away_s)
             server.start()

@@ -19,7 +19,7 @@ from labos.core.registry import decode
 from labos.errors import Refused
 from tests.support.lab_process import Up, labos, statuses, until
 from tests.support.other_version import copy_as
-from tests.system.test_standby import AWAY, CELL, Pair, motion_begun
+from tests.system.test_standby import AWAY, CELL, Pair, await_requests
 
 pytestmark = [pytest.mark.postgres, pytest.mark.timeout(240)]
 
@@ -58,7 +58,7 @@ def test_a_newer_version_takes_over_and_gives_back(
     pair.start(str(tmp_path / "rpl.yaml"))
     with pair.first.client() as client:
         runs = [client.submit(tmp_path / "away.yaml", user=user) for user in ("ada", "bo", "cy")]
-    motion_begun(pair, 2)
+    await_requests(pair, 2)
     there = take_over(pair, pair.first, pair.second)
     assert there["stood_by"] == [f"{NEWER} on {_host()}"]
     nodes = pair.nodes()
@@ -70,7 +70,7 @@ def test_a_newer_version_takes_over_and_gives_back(
         asked = pair.first.types().count("action.requested")
         with pair.second.client() as client:  # on a busy machine the others have ended by now
             runs += [client.submit(tmp_path / "away.yaml", user=user) for user in ("di", "ed", "flo")]
-        motion_begun(pair, asked + 1)
+        await_requests(pair, asked + 1)
         here = take_over(pair, pair.second, back)
         with back.client() as client:
             assert statuses(client, runs) == ["completed"] * len(runs), back.read_log()

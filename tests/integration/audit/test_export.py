@@ -119,8 +119,8 @@ def test_an_experiment_is_in_order_too_and_a_spoilt_crate_is_not(kept: Path) -> 
     told = json.loads(metadata.read_text())
     next(each for each in told["@graph"] if each["@type"] == "ControlAction").pop("instrument")
     metadata.write_text(json.dumps(told))
-    experiment, failed, motion_begun, bad = validate("E1.zip", "R5", "R6", "bad")
-    assert experiment["wrong"] == failed["wrong"] == motion_begun["wrong"] == []
+    experiment, failed, running, bad = validate("E1.zip", "R5", "R6", "bad")
+    assert experiment["wrong"] == failed["wrong"] == running["wrong"] == []
     assert {"#run-R3", "#run-R4"} < {*experiment["actions"]}
     assert len(bad["wrong"]) == 1
     assert "ControlAction" in bad["wrong"][0]
@@ -285,13 +285,13 @@ def test_only_of_what_something_was_carried_out_is_a_provenance_run_crate(kept: 
     assert f"{WFRUN}/provenance/0.5" in ids(graph_of(Path("E1"))["./"]["conformsTo"])
     export(kept, "crate", "R6", "--to", "R6")
     graph = graph_of(Path("R6"))
-    motion_begun = graph["#run-R6"]
+    running = graph["#run-R6"]
     (by,) = (graph[each] for each in ids(graph["#execution-R6"]["instrument"]))
     assert by["softwareVersion"] == "0.2.0", (
         "of the LabOS that carries it out, not of the one that exports it"
     )
-    assert motion_begun["actionStatus"] == "http://schema.org/ActiveActionStatus"
-    assert "endTime" not in motion_begun
+    assert running["actionStatus"] == "http://schema.org/ActiveActionStatus"
+    assert "endTime" not in running
     book = Logbook()
     book.furnish()
     book.do(StartExperiment("app", "ada"))
