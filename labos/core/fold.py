@@ -119,7 +119,7 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
     ends = _STREAM_ENDS.get(kind)
     if ends is not None:
         versions.pop(getattr(event, ends), None)
-    elif kind in (InterventionResolved, BookingCancelled) or (kind is BookingEnded and event.over):  # type: ignore[attr-defined]
+    elif kind in (InterventionResolved, BookingCancelled) or (isinstance(event, BookingEnded) and event.over):
         del versions[stream]
     state.position, state.recorded_at = position, recorded_at
 
