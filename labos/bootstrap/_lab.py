@@ -27,9 +27,10 @@ from labos.bootstrap._gate import (
     open_gate,
 )
 from labos.bootstrap._hands import SimulatedHands
-from labos.bootstrap._metrics import LabMetrics, send_traces
+from labos.bootstrap._metrics import LabMetrics
 from labos.bootstrap._notify import find_contacts, run_notifier
 from labos.bootstrap._runtime import LabRuntime
+from labos.bootstrap._traces import send_traces
 from labos.clock import SystemClock, Uuid7Ids
 from labos.core.actions import ActionStatus
 from labos.core.decide.control import PauseStarts

@@ -1,24 +1,16 @@
-"""The metrics of a running lab, their sources and their addresses; and the traces of its runs."""
+"""The metrics of a running lab: their sources and their addresses."""
 
 from __future__ import annotations
 
-import asyncio
 import shutil
-import socket
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from labos.bootstrap._unattended import UnattendedMeter
 from labos.core.ids import local, workcell_of
 from labos.errors import StoreError
-from labos.runtime.kernel import Kernel
-from labos.settings import Settings
 from labos.store import find_database_file, measure_database
 from labos.telemetry.kernel import KernelMetrics
 from labos.telemetry.otlp import OtlpSender
-from labos.telemetry.spans import SpanRecorder
-from labos.version import VERSION
 
 if TYPE_CHECKING:
     from labos.bootstrap._runtime import LabRuntime
@@ -108,31 +100,3 @@ class LabMetrics:
             spans_sent=self.traces.taken if self.traces is not None else 0,
             faults=kernel.fault_count,
         )
-
-
-@asynccontextmanager
-async def send_traces(settings: Settings, kernel: Kernel) -> AsyncIterator[OtlpSender | None]:
-    """Send the traces of the block to a receiver of OpenTelemetry, if the settings name one; traces that
-    still wait at its end are sent then. Raises BadInput."""
-    if not settings.trace_receiver:
-        yield None
-        return
-    lab = kernel.state.lab
-    sender = OtlpSender(
-        settings.trace_receiver,
-        {
-            "service.name": "labos",
-            "service.namespace": lab.name,
-            "service.version": VERSION,
-            "host.name": socket.gethostname(),
-            "labos.lab": lab.id,
-        },
-    )
-    recorder = SpanRecorder(lambda: kernel.state, kernel.clock.now_ns, sender.send)
-    recorder.begin_with(kernel.state)
-    kernel.listeners.append(recorder)
-    try:
-        yield sender
-    finally:
-        kernel.listeners.remove(recorder)
-        await asyncio.to_thread(sender.close)
