@@ -9,6 +9,14 @@ from labos.store._blobs import FolderBlobs
 from labos.store._errors import TranslatedErrors
 from labos.store._event_store import SqlEventStore
 from labos.store._home import ERASURES, forget_end, read_erasures
+from labos.store._lease import (
+    find_database_file,
+    find_lease_holder,
+    find_silent_holder,
+    is_replica,
+    measure_database,
+    show_url,
+)
 from labos.store._migrate import (
     DatabaseStatus,
     find_migrations_folder,
@@ -16,16 +24,7 @@ from labos.store._migrate import (
     read_database_status,
 )
 from labos.store._objects import Blobs, ObjectBlobs, open_blobs
-from labos.store._open import (
-    find_database_file,
-    find_lease_holder,
-    find_silent_holder,
-    is_replica,
-    measure_database,
-    open_store,
-    scrub_words,
-    show_url,
-)
+from labos.store._open import open_store, scrub_words
 from labos.store._restore import leap_epoch, raise_epoch, refuse_to_overwrite, restore_log
 from labos.store._roles import grant_writer
 from labos.store._segment import encode_record, read_segment, write_segment

@@ -20,8 +20,9 @@ from labos.errors import Refused
 from labos.ports import Head, StoredWords
 from labos.store._backend import WordChanges
 from labos.store._event_store import rows_of
+from labos.store._lease import find_lease_holder
 from labos.store._migrate import migrate, read_database_status
-from labos.store._open import find_lease_holder, use_backend
+from labos.store._open import use_backend
 from labos.store._tables import head
 from labos.store._url import display_name, parse_url
 from labos.store._words import make_changes, row_of
