@@ -151,13 +151,13 @@ class HudsonDriver(Wired):
                 self._check_ready()
                 if not self._is_holding():
                     raise DeviceError(f"{self.name}: its hand is empty.")
-            with self.motion_begun():
+            with self.assume_motion():
                 self._place(target, pose)
 
     @off_loop
     def home(self) -> None:
         """Home all axes. The arm moves through a large volume."""
-        with self.motion(), self.motion_begun():
+        with self.motion(), self.assume_motion():
             self._home()
 
     # -- the device itself -------------------------------------------------------------------
@@ -166,7 +166,7 @@ class HudsonDriver(Wired):
     def reset(self) -> None:
         """Move up and in if the arm is homed and accepts it; then home. The hand keeps what it holds."""
         self.resume()
-        with self.motion_begun():
+        with self.assume_motion():
             self._home()
 
     @off_loop
@@ -190,7 +190,7 @@ class HudsonDriver(Wired):
                 self._check_ready()
                 if self._is_holding():
                     raise DeviceError(f"{self.name}: its hand is full.", remedy="Put down what it holds.")
-            with self.motion_begun():
+            with self.assume_motion():
                 why = self._pick(source[0], take)
                 if not why:
                     self._place(target[0], put)

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 from labos.errors import DeviceError, LinkError, WrongDevice
 from labos.link.life import Life
-from labos.node import Setup, check_unit, motion_begun
+from labos.node import Setup, assume_motion, check_unit
 from labos.node.torture import WiredDevice
 from labos.node.worker import Worker
 from labos_drivers._limits import read_deadlines
@@ -68,7 +68,7 @@ class Wired(Refusing):
     where: ClassVar[tuple[str, str]] = ("port", "/dev/ttyUSB0")
     deadlines: ClassVar[tuple[str, ...]] = ()
     link: Life
-    motion_begun = staticmethod(motion_begun)
+    assume_motion = staticmethod(assume_motion)
 
     def __init__(self, setup: Setup, address: str, simulator: DeviceOnWire | None = None) -> None:
         self.name = setup.name

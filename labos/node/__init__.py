@@ -20,7 +20,7 @@ from labos.core.effects import (
 from labos.core.model import Station
 from labos.errors import Collision, DeviceError, OutcomeUnknown
 from labos.node.files import Attachment
-from labos.node.motion import motion_begun
+from labos.node.motion import assume_motion
 from labos.node.node import File, Node, Param, Place, Setup, action, current_action
 from labos.node.torture import Case, Fault, Foreign, Hardware, Torture
 from labos.node.unit import check_unit
@@ -60,7 +60,7 @@ __all__ = [
     "Unlid",
     "World",
     "action",
+    "assume_motion",
     "check_unit",
     "current_action",
-    "motion_begun",
 ]

@@ -9,9 +9,9 @@ from labos.errors import DeviceError
 
 
 @contextmanager
-def motion_begun() -> Iterator[None]:
-    """A motion has begun: after any later error it is unknown whether something moved. A link that fails
-    before a request only knows about that request."""
+def assume_motion() -> Iterator[None]:
+    """Assume that a motion has begun: after any later error it is unknown whether something moved. A link
+    that fails before a request only knows about that request."""
     try:
         yield
     except DeviceError as error:

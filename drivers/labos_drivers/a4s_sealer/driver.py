@@ -64,7 +64,7 @@ class SealerDriver(Wired):
         """Clear an error and home the shuttle: nothing may be in its way. Raises DeviceError."""
         self._status = None
         self._command(b"SR")
-        with self.motion_begun():
+        with self.assume_motion():
             self._wait(
                 "come to rest",
                 self.limit_s("shuttle", SHUTTLE_S),
@@ -107,7 +107,7 @@ class SealerDriver(Wired):
         self.check_not_stopped()
         self._command(b"GS")
         running = (protocol.SINGLE_CYCLE, protocol.REPEAT_CYCLE)
-        with self.motion_begun():
+        with self.assume_motion():
             status = self._wait(
                 "begin to seal",
                 self.limit_s("begin", BEGIN_S),

@@ -149,7 +149,7 @@ class AxisDriver(Wired):
     def await_end(self, goal: Goal, *, sure: bool) -> None:
         """Wait for the end of a motion. ``sure``: the drive has answered the start command, and the
         connection was not lost since then. Raises DeviceError, OutcomeUnknown."""
-        with self.motion_begun():
+        with self.assume_motion():
             self._await_end(goal, sure)
 
     async def stop(self) -> None:

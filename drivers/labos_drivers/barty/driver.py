@@ -11,7 +11,7 @@ import msgspec
 
 from labos.errors import DeviceError, Garbled, LinkError
 from labos.link import Link, TcpWire
-from labos.node import Setup, motion_begun
+from labos.node import Setup, assume_motion
 from labos.node.node import note_handle
 from labos_drivers._refusals import make_refusal
 from labos_drivers._wired import DeviceOnWire, Wired, during_motion, off_loop, parse_host_port
@@ -82,7 +82,7 @@ class BartyDriver(Wired):
             )
         for number, rate in enumerate(rates):
             group = [pump for pump in pumps if self._ml_per_s[pump] == rate]
-            with motion_begun() if number else nullcontext():
+            with assume_motion() if number else nullcontext():
                 await self._give_dose(group, amount_ml / rate, fill=fill)
 
     async def _give_dose(self, pumps: list[int], seconds: float, *, fill: bool) -> None:
@@ -138,7 +138,7 @@ class BartyDriver(Wired):
 
     def _await_end(self, dose: Dose) -> None:
         deadline = time.monotonic() + LONGEST_S + SLACK_S
-        with self.motion_begun():
+        with self.assume_motion():
             while True:
                 status, parameters = self._poll_script(dose)
                 if parameters[protocol.BEGUN] and parameters[protocol.OWNER] != dose.owner:

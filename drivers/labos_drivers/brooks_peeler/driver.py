@@ -75,7 +75,7 @@ class PeelerDriver(Wired):
         """Wait for the end of a peel from before a restart of the node, and check the codes that the device
         keeps of its last motion. A seal check would show the result too, but unexpectedly moves the conveyor.
         Raises DeviceError, and OutcomeUnknown if the device was switched off since then."""
-        with self.motion(), self.motion_begun():
+        with self.motion(), self.assume_motion():
             codes = self._read_last_codes()
             self._ask_tape_left()
         if not command:
@@ -166,7 +166,7 @@ class PeelerDriver(Wired):
         self.link.exchange(
             command, self.limit_s("ack", ACK_S), answers=lambda _, line: line.startswith(b"*ack")
         )
-        with self.motion_begun():
+        with self.assume_motion():
             while True:
                 line = self.link.receive(max(deadline - time.monotonic(), 0.0))
                 if self._note_restart(line) and self._restarted:

@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 from labos.errors import DeviceError, Garbled, LinkLost, NoReply, NotConnected
 from labos.link import HttpLink, HttpReply
 from labos.link.life import Life
-from labos.node import motion_begun
+from labos.node import assume_motion
 from labos.node.secrets import read_secret
 from labos_drivers._refusals import make_refusal
 from labos_drivers.camera.vision import Picture, cv, decode
@@ -166,7 +166,7 @@ class NetworkCamera:
             before, self._last = self._last, self._take_shot()
             return [before, self._last]
         first = self._take_shot()
-        with motion_begun():
+        with assume_motion():
             self._last = self._take_shot()
         return [first, self._last]
 

@@ -83,7 +83,7 @@ class GatewayDriver(Wired):
         journal, _, name = handle.rpartition(":")
         start = Start(journal, name)
         with self.motion():
-            with self.motion_begun():
+            with self.assume_motion():
                 entry = self._poll_action("DELETE", start)
             return self._await_end(start, entry)
 
@@ -127,7 +127,7 @@ class GatewayDriver(Wired):
             if error.effects == "none":
                 raise
             # The gateway may or may not have received it. After the DELETE, a late request starts nothing.
-            with self.motion_begun():
+            with self.assume_motion():
                 entry = self._poll_action("DELETE", start)
         else:
             if reply.status in REFUSALS:
@@ -140,7 +140,7 @@ class GatewayDriver(Wired):
         return self._await_end(start, entry)
 
     def _await_end(self, start: Start, entry: dict[str, Any]) -> Any:
-        with self.motion_begun():
+        with self.assume_motion():
             while entry.get("status") == "running":
                 time.sleep(POLL_S)
                 entry = self._poll_action("GET", start)

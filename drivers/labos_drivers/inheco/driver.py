@@ -73,7 +73,7 @@ class InhecoDriver(Wired):
             raise self.make_refusal("it shakes", "Stop shaking first.")
         self.check_not_stopped()
         self._order(command, self.limit_s("drawer", DRAWER_S))
-        with self.motion_begun():
+        with self.assume_motion():
             self._await(
                 lambda: self._read_drawer() == goal,
                 self.limit_s("drawer", DRAWER_S),
@@ -100,7 +100,7 @@ class InhecoDriver(Wired):
     def _heat(self, celsius: float) -> None:
         self._order(f"STT{round(celsius * 10)}")
         self._order("SHE1")
-        with self.motion_begun():
+        with self.assume_motion():
             target, heater = int(self._ask("RTT", r"\d{1,3}")), self._ask("RHE", "[012]")
             if target != round(celsius * 10) or heater == "0":
                 raise DeviceError(
@@ -138,7 +138,7 @@ class InhecoDriver(Wired):
             self._order(f"SSP{tenths_mm},{tenths_mm},{tenths_hz},{tenths_hz},90")
             self.check_not_stopped()
             self._order("ASE1")
-            with self.motion_begun():
+            with self.assume_motion():
                 self._await(
                     lambda: self._read_shaker() == protocol.SHAKES,
                     self.limit_s("shaker", SHAKER_S),
@@ -152,7 +152,7 @@ class InhecoDriver(Wired):
 
     def _stop_shaking(self) -> None:
         self._order("ASE0")
-        with self.motion_begun():
+        with self.assume_motion():
             self._await(
                 lambda: self._read_shaker() == "0",
                 self.limit_s("shaker", SHAKER_S),
@@ -170,7 +170,7 @@ class InhecoDriver(Wired):
         """Initialise the incubator: its drawer closes, heater and shaker stop. Then heat again to the
         temperature that was set, if there is one. Raises DeviceError."""
         self._order("AID", self.limit_s("drawer", DRAWER_S), again=True)
-        with self.motion_begun():
+        with self.assume_motion():
             self._await(
                 lambda: self._read_drawer() == "0",
                 self.limit_s("drawer", DRAWER_S),

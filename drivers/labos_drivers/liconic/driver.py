@@ -88,7 +88,7 @@ class LiconicDriver(Wired):
                 protocol.ON_STATION, False, "a plate stands on the transfer station", "Take it away."
             )
             self._write_relay(protocol.SHOVEL_OUT)
-            with self.motion_begun():
+            with self.assume_motion():
                 self._await_end(lambda: self._read_relay(protocol.ON_STATION))
                 self._check_sensors(True, "the shovel")
 
@@ -168,7 +168,7 @@ class LiconicDriver(Wired):
         self._write_word(protocol.SLOT, slot)
         self.check_not_stopped()
         self._write_relay(order)
-        with self.motion_begun():
+        with self.assume_motion():
             self._await_end(lambda: self._read_relay(protocol.ON_STATION) == arrives)
             self._check_sensors(arrives, f"stacker {stacker}, slot {slot}")
             self._write_relay(protocol.END_OF_ACCESS)

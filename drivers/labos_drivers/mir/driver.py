@@ -131,7 +131,7 @@ class MiRDriver(Wired):
                 self.check_not_stopped()
             self._await_end(self._queue(mission, name))
             if kind == "move":
-                with self.motion_begun():
+                with self.assume_motion():
                     self._refuse_elsewhere(position)
 
     def _refuse_elsewhere(self, position: dict[str, Any]) -> None:
@@ -154,7 +154,7 @@ class MiRDriver(Wired):
         except LinkError as error:
             if error.effects == "none":
                 raise
-            with self.motion_begun():
+            with self.assume_motion():
                 entry = self._retry(lambda: self._find_entry(name))
             if entry is None:
                 raise
@@ -164,7 +164,7 @@ class MiRDriver(Wired):
         self._entry = entry
         limit_s = self.limit_s("drive", DRIVE_S)
         deadline = time.monotonic() + limit_s
-        with self.motion_begun():
+        with self.assume_motion():
             while True:
                 if self._halted.is_set():
                     self._give_up()  # the entry may have been queued just after the stop

@@ -100,7 +100,7 @@ class OT2Driver(Wired):
         started. Raises OutcomeUnknown if the robot no longer knows the run."""
         with self.motion():
             self._run = run
-            with self.motion_begun():
+            with self.assume_motion():
                 try:
                     begun = not self._take_back(run)
                 except _Forgotten as error:
@@ -141,9 +141,9 @@ class OT2Driver(Wired):
         run = self._find_current_run()
         if run and self._read_state(run)["status"] not in (protocol.IDLE, *protocol.TERMINAL):
             self._act(run, "stop")
-            with self.motion_begun(), suppress(_Ended):
+            with self.assume_motion(), suppress(_Ended):
                 self._await_end(run)
-        with self.motion_begun():
+        with self.assume_motion():
             reply = self.link.post(
                 "/robot/home", json={"target": "robot"}, timeout_s=self.limit_s("home", HOME_S)
             )
@@ -228,7 +228,7 @@ class OT2Driver(Wired):
     def _has_begun(self, run: str, error: LinkError) -> bool:
         """Whether a ``play`` has reached the robot although its answer was lost. If it has not, the run is
         withdrawn, so that it cannot begin later, and the ``error`` reports no effects."""
-        with self.motion_begun():
+        with self.assume_motion():
             if not self._take_back(run):
                 return True
         error.effects = "none"
@@ -248,7 +248,7 @@ class OT2Driver(Wired):
 
     def _poll_until_end(self, run: str) -> dict[str, Any]:
         began = time.monotonic()
-        with self.motion_begun():
+        with self.assume_motion():
             while True:
                 state = self._poll_state(run)
                 status = state["status"]

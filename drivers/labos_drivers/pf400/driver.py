@@ -127,7 +127,7 @@ class PF400Driver(Wired):
             spot = self._find_spot(source, kind, through)
             self._check_reach(spot)
             self._check_hand_empty(self._check_ready())
-            with self.motion_begun():
+            with self.assume_motion():
                 held = self._pick(spot, self._choose_grip(grip, spot.pose, kind))
             if not held:
                 raise self._make_not_taken_error(source)
@@ -162,7 +162,7 @@ class PF400Driver(Wired):
             # The lab knows that the hand holds something, even if the width does not show it.
             grip = fingers.grip or self._hand.guess_grip(width, kind)
             self._hand.grasp(grip, width)
-            with self.motion_begun():
+            with self.assume_motion():
                 self._place(spot, grip)
 
     @off_loop
@@ -175,7 +175,7 @@ class PF400Driver(Wired):
                 width = self._read_joints()[GRIPPER]
                 if self._hand.read(width).state == "holding":
                     raise self._make_hand_full_error()
-            with self.motion_begun():
+            with self.assume_motion():
                 self._release(self._hand.find_grip("wide" if wide else "narrow", ""))
 
     @off_loop
@@ -190,7 +190,7 @@ class PF400Driver(Wired):
             for spot in spots:
                 self._check_reach(spot)
             self._check_hand_empty(self._check_ready())
-            with self.motion_begun():
+            with self.assume_motion():
                 for spot in spots:
                     self._come(spot)
                     self._leave(spot)
@@ -206,7 +206,7 @@ class PF400Driver(Wired):
                 self._check_power()
                 self._attach()
                 self._check_hand_empty(self._read_joints())
-            with self.motion_begun():
+            with self.assume_motion():
                 self._is_free = True
                 for axis in (*protocol.YIELDING, *([protocol.COLUMN] if column else [])):
                     self._ask(protocol.yields(axis))
@@ -221,7 +221,7 @@ class PF400Driver(Wired):
                 self._ask(protocol.ALL_HOLD)
                 self._is_free = False
                 self._set_profiles(slow=True)
-            with self.motion_begun():
+            with self.assume_motion():
                 self._lift_and_fold()
 
     @during_motion
@@ -241,7 +241,7 @@ class PF400Driver(Wired):
         self._attach()
         self._ask(protocol.ALL_HOLD)
         self._is_free = None
-        with self.motion_begun():
+        with self.assume_motion():
             if self._ask_number(f"pd {protocol.HOMED}") != protocol.ON:
                 self._ask("home", self.limit_s("home", HOME_S))
             self._set_profiles(slow=True)
@@ -288,7 +288,7 @@ class PF400Driver(Wired):
             for spot in (take, put, *turn):
                 self._check_reach(spot)
             self._check_hand_empty(self._check_ready(slow))
-            with self.motion_begun():
+            with self.assume_motion():
                 held = self._pick(take, grips[0])
                 if held and turn:
                     self._place(turn[0], grips[0])

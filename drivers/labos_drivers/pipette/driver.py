@@ -107,7 +107,7 @@ class PipetteDriver(Wired):
                 if error.effects == "none":
                     raise
                 # The position shows whether the pump got the command. If not, the command may still arrive.
-                with self.motion_begun():
+                with self.assume_motion():
                     return self._await_end(stroke, limit_s)
             return self._await_end(stroke, limit_s)
 
@@ -123,7 +123,7 @@ class PipetteDriver(Wired):
             )
 
     def _await_end(self, stroke: Stroke, limit_s: float) -> float:
-        with self.motion_begun():
+        with self.assume_motion():
             self._await_rest(limit_s)
             here = self._read_position()
             self._check_initialised(here)
@@ -167,7 +167,7 @@ class PipetteDriver(Wired):
 
     def _initialise(self) -> None:
         self._order(self._kind.initialise)
-        with self.motion_begun():
+        with self.assume_motion():
             self._await_rest(self.limit_s("start", START_S))
             self._check_initialised(self._read_position())
 
@@ -179,7 +179,7 @@ class PipetteDriver(Wired):
             )
         with self.motion():
             self._order(self._kind.eject)
-            with self.motion_begun():
+            with self.assume_motion():
                 self._await_rest(self.limit_s("eject", EJECT_S))
 
     @during_motion

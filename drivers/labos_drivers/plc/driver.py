@@ -163,7 +163,7 @@ class PlcDriver(Wired):
         """Wait for the end; returns the result. ``sure``: the PLC has answered the start, and the connection
         was not lost since then. Raises DeviceError, OutcomeUnknown."""
         try:
-            with self.motion_begun():
+            with self.assume_motion():
                 return self._await_end(name, self.mapping.actions[name], begun, sure=sure)
         except _Withdrawn as error:
             error.effects = "none"

@@ -66,7 +66,7 @@ class TecanDriver(Wired):
     def _drive(self, goal: str) -> None:
         self.check_not_stopped()
         self._order(f"ABSOLUTE MTP,{goal}", self.limit_s("gate", GATE_S))
-        with self.motion_begun():
+        with self.assume_motion():
             if (found := self._read_position()) != goal:
                 raise DeviceError(
                     f"{self.name}: the carrier should be {goal}, and is {found}.",
@@ -127,7 +127,7 @@ class TecanDriver(Wired):
         self._order("KEYLOCK ON")
         self._scans = True
         try:
-            with self.motion_begun():
+            with self.assume_motion():
                 yield
                 self._order("TERMINATE")
                 for part in ("MTP", "ABS"):
@@ -227,7 +227,7 @@ class TecanDriver(Wired):
         """Home all axes; then the carrier moves out."""
         self.resume()
         self._order("INIT FORCE", self.limit_s("init", INIT_S))
-        with self.motion_begun():
+        with self.assume_motion():
             self._order("KEYLOCK OFF")
             self._drive(protocol.OUT)
 
@@ -279,7 +279,7 @@ class TecanDriver(Wired):
         if busy is None:
             raise Garbled(f"{self.name}: {text!r} is no answer to {command!r}.")
         deadline = time.monotonic() + (limit_s or self.limit_s("answer", ANSWER_S))
-        with self.motion_begun():
+        with self.assume_motion():
             while text != protocol.STANDBY:
                 message = self.link.receive(max(deadline - time.monotonic(), 0.0))
                 text = message.decode() if message[:1] != b"\0" else ""

@@ -133,7 +133,7 @@ class URDriver(Wired):
             with self.report_no_effects():
                 self._check_sensors(before, f"{action} needs")
             self._run(program)
-            with self.motion_begun():
+            with self.assume_motion():
                 self._check_sensors(after, f"after {action} it should be")
 
     # -- the device itself -------------------------------------------------------------------
@@ -197,7 +197,7 @@ class URDriver(Wired):
                 self.check_not_stopped()
                 states = end.enter_context(self._watch_program())
             self._play(program)
-            with self.motion_begun():
+            with self.assume_motion():
                 held = self._await_end(program, states)
                 self._refuse_unless_safe(program)
                 self.check_not_stopped()
@@ -312,7 +312,7 @@ class URDriver(Wired):
     def _check_hand_after(self, *, held: bool, after: str) -> None:
         """Check what the gripper holds after a motion. If it does not answer, the effects are unknown. Raises
         DeviceError."""
-        with self.motion_begun():
+        with self.assume_motion():
             if self._read_hand_at_rest() is (not held):
                 raise DeviceError(
                     f"{self.name}: after {after} the gripper holds {'nothing' if held else 'something'}.",

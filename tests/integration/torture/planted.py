@@ -86,7 +86,7 @@ BUGS: dict[str, Bug] = {
         "happy path",
         (
             (
-                "        with motion_begun():\n            self.await_end(before)\n\n    @action(Needs",
+                "        with assume_motion():\n            self.await_end(before)\n\n    @action(Needs",
                 "    @action(Needs",
             ),
         ),
@@ -169,7 +169,7 @@ BUGS: dict[str, Bug] = {
         "unplugged during",
         (
             (
-                "        with motion_begun():\n            self.await_end(before)\n\n    @action(Needs",
+                "        with assume_motion():\n            self.await_end(before)\n\n    @action(Needs",
                 "        with contextlib.ExitStack() as end:\n"
                 '            end.push(lambda _, error, __: error and setattr(error, "effects", "none"))\n'
                 "            self.await_end(before)\n\n    @action(Needs",

@@ -25,7 +25,7 @@ from labos.node import (
     Torture,
     World,
     action,
-    motion_begun,
+    assume_motion,
 )
 
 ANSWER_S, START_S, MOTION_S = 1.0, 1.0, 10.0
@@ -72,7 +72,7 @@ class Shaker(Node):
         """Shake the plate."""
         before = self.count_done()
         self.start(f"SHAKE {speed:.0f} {time:.1f}")
-        with motion_begun():
+        with assume_motion():
             self.await_end(before)
 
     @action(Needs("plate"), duration_s=20)
@@ -80,7 +80,7 @@ class Shaker(Node):
         """Drop oil onto the plate."""
         before = self.count_done()
         self.start(f"OIL {volume * 10:.0f}")
-        with motion_begun():
+        with assume_motion():
             self.await_end(before)
 
     @action(exclusive=False, duration_s=1)

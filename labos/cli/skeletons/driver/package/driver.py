@@ -9,7 +9,7 @@ import time
 
 from labos.errors import Garbled
 from labos.link import Link, SerialWire, Terminated
-from labos.node import DeviceError, motion_begun
+from labos.node import DeviceError, assume_motion
 
 ANSWER_S, MOTION_S, POLL_S = 2.0, 90.0, 0.05
 
@@ -42,7 +42,7 @@ class Driver:
             raise DeviceError(f"{self.name}: {why}.", effects="none", remedy=remedy)
         if answer != "OK":
             raise Garbled(f"{self.name}: {answer!r} is not a valid answer to WORK.")
-        with motion_begun():
+        with assume_motion():
             self._await_rest()
             if self._works_done() != before + 1:  # a device that has restarted rests, too
                 raise DeviceError(f"{self.name} is idle, but has not done the work. It may have restarted.")
