@@ -26,12 +26,13 @@ class Opening:
     """Opens a session, and opens it again."""
 
     def __init__(self, mode: Mode, listen: tuple[str, ...], connect: tuple[str, ...]) -> None:
-        self._mode, self._listen, self._connect = mode, listen, connect
+        self.mode: Mode = mode
+        self._listen, self._connect = listen, connect
 
     async def open(self, security: Security | None) -> Any:
         """Raises BusError, BadInput."""
         check_endpoints((*self._listen, *self._connect), secure=security is not None)
-        config = config_of(self._mode, self._listen, self._connect, security)
+        config = config_of(self.mode, self._listen, self._connect, security)
         try:
             return await asyncio.to_thread(zenoh.open, config)
         except zenoh.ZError as error:

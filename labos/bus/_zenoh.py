@@ -294,7 +294,10 @@ class ZenohBus:
             handle = Declared(declare, self._handles)
         except zenoh.ZError as error:
             raise BusError(f"{key!r} could not be declared on the bus: {reason_of(error)}.") from error
-        await self._round_trip()
+        # A router knows its own declarations at once. It holds its lock while it answers itself: if Python frees
+        # a declaration at that moment, which takes the same lock, both wait for ever.
+        if self._opening.mode != "router":
+            await self._round_trip()
         return handle
 
     async def _round_trip(self) -> bool | None:

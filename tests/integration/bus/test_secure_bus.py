@@ -101,6 +101,8 @@ class Site:
         self.sealer = NodeServer(node, bus, LAB, journal, SystemClock(), Uuid7Ids(), heartbeat_s=600.0)
         self.sealer_bus = bus
         await self.sealer.start()
+        await until(lambda: KEYS.operation(SEALER, "state") in self.heard)  # which it publishes of itself
+        self.heard.clear()
 
     async def close(self) -> None:
         await self.sealer.close()
