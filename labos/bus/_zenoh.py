@@ -294,8 +294,8 @@ class ZenohBus:
             handle = Declared(declare, self._handles)
         except zenoh.ZError as error:
             raise BusError(f"{key!r} could not be declared on the bus: {reason_of(error)}.") from error
-        # A router knows its own declarations at once. It holds its lock while it answers itself: if Python frees
-        # a declaration at that moment, which takes the same lock, both wait for ever.
+        # A router knows its own declarations at once. It answers itself with its tables locked: if Python
+        # frees a declaration at that moment, the thread waits for ever for a lock of its own.
         if self._opening.mode != "router":
             await self._round_trip()
         return handle

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
+from functools import cache
 from importlib import resources as package_files
+from importlib.resources.abc import Traversable
 from typing import Any
 
 import msgspec
@@ -105,10 +107,16 @@ def hash_state(state: LabState) -> str:
     return hashlib.sha256(encode_picture(state)).hexdigest()
 
 
+@cache
 def fold_fingerprint() -> str:
-    """The fingerprint of the fold code. A snapshot from other code is not used."""
+    """The fingerprint of the fold code. A snapshot from other code is not used. It is computed once: a
+    process runs the code with which it started, also when an upgrade replaces the files."""
+    return fingerprint_folder(package_files.files("labos.core"))
+
+
+def fingerprint_folder(folder: Traversable) -> str:
+    """The SHA-256 of the Python files of a folder."""
     total = hashlib.sha256()
-    folder = package_files.files("labos.core")
     for file in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if file.name.endswith(".py"):
             total.update(file.name.encode())

@@ -124,7 +124,7 @@ def test_the_connection_of_a_client_is_in_order() -> None:
             assert await node._is_router_open() is True
             await router.reopen(None)
             await until(lambda: find_router(node) == str(router._session.zid()))
-            # For some milliseconds Zenoh answers in the router's place: there is a connection, and no key yet.
+            # The connection is new: for some milliseconds the client answers itself, without the key.
             async with asyncio.timeout(5.0):
                 while not await node._is_router_open():
                     pass

@@ -7,12 +7,11 @@ import shutil
 import tempfile
 from functools import cache, partial
 from pathlib import Path
-from types import SimpleNamespace
 
 import msgspec
 
-from labos.core import state as fold_code
-from labos.core.state import encode_picture, fold_fingerprint
+from labos.core import state as state_code
+from labos.core.state import encode_picture, fingerprint_folder
 from labos.errors import Fenced, LabosError
 from labos.testing.lab import SimulatedLab
 from labos.testing.loop import Stalled
@@ -117,15 +116,10 @@ def leave_older_snapshot(lab: SimulatedLab) -> None:
 
 @cache
 def fingerprint_of_another_fold() -> str:
-    """What ``fold_fingerprint`` says of a LabOS whose core has one line more."""
+    """The fingerprint of a LabOS whose core has one line more."""
     with tempfile.TemporaryDirectory() as folder:
         core = Path(folder) / "core"
-        shutil.copytree(Path(fold_code.__file__).parent, core)
+        shutil.copytree(Path(state_code.__file__).parent, core)
         with (core / "fold.py").open("a") as file:
             file.write("# as it was\n")
-        real = fold_code.package_files
-        fold_code.package_files = SimpleNamespace(files=lambda _: core)  # type: ignore[assignment]
-        try:
-            return fold_fingerprint()
-        finally:
-            fold_code.package_files = real
+        return fingerprint_folder(core)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
+from labos.core import state as state_code
 from labos.core.decide.nodes import LoseNode
 from labos.core.effects import Move
 from labos.core.ids import ActionId, LabwareId, Owner, StationName
@@ -15,7 +20,14 @@ from labos.core.invariants import find_broken
 from labos.core.model import ActionSpec, Description
 from labos.core.modules import Flight
 from labos.core.runs import StepState
-from labos.core.state import LabState, encode_picture, fold_fingerprint, from_picture, hash_state
+from labos.core.state import (
+    LabState,
+    encode_picture,
+    fingerprint_folder,
+    fold_fingerprint,
+    from_picture,
+    hash_state,
+)
 from labos.planning.waiting import find_head
 from tests.support.bench import (
     Driver,
@@ -30,6 +42,15 @@ from tests.support.bench import (
     stream_faults,
     take,
 )
+
+SHOW_BEFORE_AND_AFTER_AN_UPGRADE = """
+from pathlib import Path
+from labos.core import fold, state
+print(state.fold_fingerprint())
+with Path(fold.__file__).open("a") as file:
+    file.write("# another version")
+print(state.fold_fingerprint())
+"""
 
 
 def lively() -> Driver:
@@ -93,9 +114,15 @@ def test_a_log_folds_the_same_from_every_picture() -> None:
     assert len(lab.pictures) == 6
 
 
-def test_the_fingerprint_names_the_code() -> None:
-    assert fold_fingerprint() == fold_fingerprint()
-    assert len(fold_fingerprint()) == 64
+def test_the_fingerprint_is_of_the_code_that_runs(tmp_path: Path) -> None:
+    """Also when an upgrade replaces the files of a running process: its snapshots are of the older code."""
+    core = Path(state_code.__file__).parent
+    shutil.copytree(core.parent, tmp_path / "labos", ignore=shutil.ignore_patterns("__pycache__"))
+    shown = subprocess.run(
+        [sys.executable, "-c", SHOW_BEFORE_AND_AFTER_AN_UPGRADE], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert shown.stdout.split() == [fold_fingerprint()] * 2, shown.stderr
+    assert fingerprint_folder(tmp_path / "labos" / "core") != fold_fingerprint()
 
 
 def test_streams_end_and_are_not_remembered() -> None:
