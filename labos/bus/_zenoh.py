@@ -295,7 +295,7 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"{key!r} could not be declared on the bus: {reason_of(error)}.") from error
         # A router knows its own declarations at once. It answers itself with its tables locked: if Python
-        # frees a declaration at that moment, the thread waits for ever for a lock of its own.
+        # frees a declaration at that moment, the thread waits without end for its own lock.
         if self._opening.mode != "router":
             await self._round_trip()
         return handle
