@@ -21,6 +21,7 @@ from labos.http.desk import Desk
 from labos.http.identity import Gate
 from labos.http.server import HttpServer
 from labos.http.service import LabService
+from labos.node.journal_file import find_owner
 from labos.node.limits import read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
@@ -31,7 +32,7 @@ from labos.runtime.kernel import Kernel
 from labos.runtime.log_check import LogCheck
 from labos.runtime.registry import Registry
 from labos.runtime.spawning import choose_spawner
-from labos.runtime.supervisor import NodeCommand, Supervisor
+from labos.runtime.supervisor import END_WITH_PARENT, NodeCommand, Supervisor
 from labos.runtime.tasks import Tasks
 from labos.settings import Settings, is_alive
 from labos.spec import CompiledWorkcell
@@ -104,7 +105,9 @@ class LabRuntime:
             for folder in folders:
                 make_folder(folder)
             spawner = choose_spawner(self.settings.logs / "fork-server.log", is_alive)
-            self.supervised = Supervisor(*folders, self.clock, is_alive, detach=detach, spawner=spawner)
+            self.supervised = Supervisor(
+                *folders, self.clock, is_alive, self._find_journal_owner, detach=detach, spawner=spawner
+            )
         modules = self.kernel.state.modules.by_name
         self.supervised.start([NodeCommand(str(name), self._make_argv(name, detach)) for name in modules])
 
@@ -137,6 +140,9 @@ class LabRuntime:
             await asyncio.to_thread(self.guard.issue_for, list(known))
         self.start_nodes(detach=self._detach)
 
+    def _find_journal_owner(self, module: str) -> int:
+        return find_owner(self.settings.journal(module))
+
     def _make_argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
         spec = self.kernel.state.modules.by_name[module].spec
         # A foreign node has no driver's description.
@@ -152,7 +158,7 @@ class LabRuntime:
             *(["--wire"] if self.simulated and self.settings.wire else []),
             *(["--trace", str(self.settings.trace(module))] if self.settings.trace_wires else []),
             *(["--metrics-port", "0"] if self.settings.node_metrics else []),
-            *([] if detach else ["--with-parent"]),
+            *([] if detach else [END_WITH_PARENT]),
         )
 
     def note_unheard(self, unheard: Unheard) -> None:

@@ -10,6 +10,20 @@ from labos.node.journal import JournalError
 from labos.node.worker import Worker
 from labos.private import FILE, make_folder, replace_file
 
+_OWNER = "process {}"
+"""The text in the lock file of a journal that is in use."""
+
+
+def find_owner(path: Path) -> int:
+    """The process that has the journal at ``path`` open; 0 if none has."""
+    lock = _make_lock(path)
+    owner = lock.note().removeprefix(_OWNER.format(""))
+    return int(owner) if lock.is_taken() and owner.isdecimal() else 0
+
+
+def _make_lock(path: Path) -> FileLock:
+    return FileLock(path.with_name(path.name + ".lock"))
+
 
 class FileJournalFile:
     """One file, written and synced in its own thread, so that the event loop never waits for the disk.
@@ -19,8 +33,8 @@ class FileJournalFile:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         make_folder(self.path.parent)
-        self._lock = FileLock(self.path.with_name(self.path.name + ".lock"))
-        if not self._lock.acquire(f"process {os.getpid()}"):
+        self._lock = _make_lock(self.path)
+        if not self._lock.acquire(_OWNER.format(os.getpid())):
             raise JournalError(
                 f"The journal {self.path} is in use by another process.",
                 remedy="Each module needs a journal of its own; or is this node running already?",

@@ -61,7 +61,10 @@ def serve(link: socket.socket) -> tuple[str, ...] | None:
             os.read(woken, 4096)
             _report_ended_children(link)
         if link.fileno() in ready:
-            packet, fds, _, _ = socket.recv_fds(link, PACKET, 2)
+            try:
+                packet, fds, _, _ = socket.recv_fds(link, PACKET, 2)
+            except ConnectionResetError:  # the kernel was killed before it had read an answer
+                return None
             if not packet:
                 return None
             words = msgspec.json.decode(packet, type=StartChild).words

@@ -2,7 +2,8 @@
 
 A node ends when its standard input ends, so nodes end with their kernel, whatever the reason, after they have
 finished their present actions. Detached nodes continue; the next kernel finds them through the notes in
-``<home>/nodes``.
+``<home>/nodes``. A kernel may die between the start of a node and its note; then the node is found as the
+process that has the module's journal open.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ GRACE_S = 30.0
 
 QUICK_S = 5.0
 """A node that ends within this time of its start has failed to start."""
+
+END_WITH_PARENT = "--with-parent"
+"""The word in the command of a node that ends with its kernel."""
 
 _log = structlog.get_logger(__name__)
 
@@ -59,7 +63,8 @@ class _Note(msgspec.Struct):
 
 class Supervisor:
     """Starts nodes and restarts crashed ones. A node that fails ``patience`` times in a row directly after
-    its start is not started again. ``is_alive`` tells whether a process with that id exists."""
+    its start is not started again. ``is_alive`` tells whether a process with that id exists,
+    ``find_journal_owner`` which process has the journal of a module open (0: none)."""
 
     def __init__(
         self,
@@ -67,12 +72,14 @@ class Supervisor:
         logs: Path,
         clock: Clock,
         is_alive: Callable[[int], bool],
+        find_journal_owner: Callable[[str], int],
         *,
         detach: bool = False,
         patience: int = 5,
         spawner: Spawner | None = None,
     ) -> None:
-        self._is_alive, self._spawner = is_alive, spawner or PlainSpawner()
+        self._is_alive, self._find_journal_owner = is_alive, find_journal_owner
+        self._spawner = spawner or PlainSpawner()
         self._notes, self._logs, self._clock = notes, logs, clock
         self._detach, self._patience = detach, patience
         self.nodes: dict[str, NodeProcess] = {}
@@ -199,9 +206,7 @@ class Supervisor:
             return None
         self._children[command.module] = child
         node.pid, node.state, node.starts = child.pid, "running", node.starts + 1
-        note = _Note(command.module, child.pid, self._detach)
-        with contextlib.suppress(OSError):
-            self._note_file(command.module).write_bytes(msgspec.json.encode(note))
+        self._write_note(_Note(command.module, child.pid, self._detach))
         if self.is_stopping(command.module):
             self._ask_to_stop(node)  # the stop was requested during its start
         return child
@@ -218,13 +223,33 @@ class Supervisor:
     def _note_file(self, module: str) -> Path:
         return self._notes / f"{module.replace('/', '.')}.json"
 
-    def _find_survivor(self, module: str) -> _Note | None:
-        """The process of this node that an earlier kernel started, if it is still running."""
+    def _write_note(self, note: _Note) -> None:
+        with contextlib.suppress(OSError):
+            self._note_file(note.module).write_bytes(msgspec.json.encode(note))
+
+    def _read_note(self, module: str) -> _Note | None:
         try:
             note = msgspec.json.decode(self._note_file(module).read_bytes(), type=_Note)
         except (OSError, msgspec.MsgspecError):
             return None
-        return note if note.module == module and self._is_alive(note.pid) and _is_node(note) else None
+        return note if note.module == module else None
+
+    def _find_survivor(self, module: str) -> _Note | None:
+        """The process of this node that is still running, if an earlier kernel or a person started it."""
+        note = self._read_note(module)
+        if note is not None and self._is_node(note.pid, module):
+            return note
+        owner = self._find_journal_owner(module)
+        if not self._is_node(owner, module):
+            return None
+        found = _Note(module, owner, detached=END_WITH_PARENT not in _read_words(owner))
+        self._write_note(found)
+        return found
+
+    def _is_node(self, pid: int, module: str) -> bool:
+        """Whether the process runs and is a node of this module, and not another process with that id."""
+        # Without words, this system does not show them, or the process has just been made.
+        return self._is_alive(pid) and local(module) in (_read_words(pid) or [local(module)])
 
     def _read_last_line(self, module: str) -> str:
         """The last line of the node's log."""
@@ -237,14 +262,13 @@ class Supervisor:
         return lines[-1].strip() if lines else ""
 
 
-def _is_node(note: _Note) -> bool:
-    """Whether the process is still the same node, and not another one with the same id."""
+def _read_words(pid: int) -> list[str]:
+    """The words of the command of a process; empty if they are not known."""
     try:
-        words = Path(f"/proc/{note.pid}/cmdline").read_bytes().replace(b"\0", b" ").split()
+        command = Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
-        return True  # no such folder on this system: the note has to be enough
-    # A process that has just been made shows no command yet.
-    return not words or local(note.module).encode() in words
+        return []
+    return command.decode(errors="replace").replace("\0", " ").split()
 
 
 def _send_signal(pid: int, *, kill: bool = False) -> None:

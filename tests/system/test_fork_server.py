@@ -5,17 +5,21 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from labos.clock import SystemClock
+from labos.node.journal_file import find_owner
+from labos.runtime.fork_server import PACKET, StartChild
 from labos.runtime.spawning import PYTHON, ForkServer
 from labos.runtime.supervisor import NodeCommand, Supervisor
-from labos.settings import is_alive
+from labos.settings import Settings, is_alive
 from tests.support.processes import run_process
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nodes are forks on Linux only")
@@ -28,7 +32,11 @@ def waiting_node(home: Path, name: str) -> NodeCommand:
 
 
 def keeper_of(folder: Path, server: ForkServer) -> Supervisor:
-    return Supervisor(folder / "nodes", folder / "logs", SystemClock(), is_alive, spawner=server)
+    def find_journal_owner(module: str) -> int:
+        return find_owner(Settings.make(folder).journal(module))
+
+    notes, logs = folder / "nodes", folder / "logs"
+    return Supervisor(notes, logs, SystemClock(), is_alive, find_journal_owner, spawner=server)
 
 
 async def until(holds: Callable[[], object], patience_s: float = 30.0) -> None:
@@ -125,6 +133,22 @@ def test_a_frozen_server_is_done_without(tmp_path: Path) -> None:
         await until(lambda: first.poll() is not None and second.poll() is not None)
 
     asyncio.run(main())
+
+
+def test_the_server_ends_without_an_error_if_its_kernel_dies_before_an_answer(tmp_path: Path) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    argv = [*PYTHON, "node", "fork-server", str(theirs.fileno())]
+    with (
+        theirs,
+        (tmp_path / "server.log").open("wb") as log,
+        run_process(argv, stdin=subprocess.DEVNULL, stderr=log, pass_fds=(theirs.fileno(),)) as server,
+    ):
+        theirs.close()
+        socket.send_fds(ours, [msgspec.json.encode(StartChild(("--version",)))], [0, log.fileno()])
+        assert ours.recv(PACKET, socket.MSG_PEEK)  # the answer is there, and stays unread
+        ours.close()
+        assert server.wait(30) == 0
+    assert "reset" not in (tmp_path / "server.log").read_text()
 
 
 def test_the_server_ends_with_its_kernel(tmp_path: Path) -> None:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 from labos.clock import SystemClock
+from labos.node.journal_file import find_owner
 from labos.runtime.supervisor import NodeCommand, Supervisor
-from labos.settings import is_alive
+from labos.settings import Settings, is_alive
+from tests.support.processes import run_process
 
 
 def command(name: str, code: str) -> NodeCommand:
@@ -20,7 +24,13 @@ def command(name: str, code: str) -> NodeCommand:
 
 def supervisor(folder: Path, *, detach: bool = False, patience: int = 3) -> Supervisor:
     notes, logs = folder / "nodes", folder / "logs"
-    return Supervisor(notes, logs, SystemClock(), is_alive, detach=detach, patience=patience)
+
+    def find_journal_owner(module: str) -> int:
+        return find_owner(Settings.make(folder).journal(module))
+
+    return Supervisor(
+        notes, logs, SystemClock(), is_alive, find_journal_owner, detach=detach, patience=patience
+    )
 
 
 async def until(holds: Callable[[], object], patience_s: float = 15.0) -> None:
@@ -98,3 +108,33 @@ def test_a_detached_node_is_found_again(tmp_path: Path) -> None:
         assert node.state == "stopped"
 
     asyncio.run(main())
+
+
+def test_a_node_that_nobody_noted_is_found_by_its_journal(tmp_path: Path) -> None:
+    """The kernel died between the start of a detached node and its note about it."""
+    journal = Settings.make(tmp_path).journal("cell/f")
+    code = (
+        "import sys, time; from pathlib import Path\n"
+        "from labos.node.journal_file import FileJournalFile\n"
+        "file = FileJournalFile(Path(sys.argv[2])); print('up', flush=True); time.sleep(600)"
+    )
+    argv = [sys.executable, "-c", code, "f", str(journal)]
+
+    async def main(unnoted: subprocess.Popen[str]) -> None:
+        assert unnoted.stdout is not None
+        assert unnoted.stdout.readline() == "up\n"
+        keeper = supervisor(tmp_path, detach=True)
+        keeper.start([NodeCommand("cell/f", tuple(argv))])
+        node = keeper.nodes["cell/f"]
+        await until(lambda: node.pid)
+        assert (node.pid, node.starts, node.state) == (unnoted.pid, 0, "running")
+        assert json.loads((tmp_path / "nodes" / "cell.f.json").read_text())["pid"] == unnoted.pid
+        unnoted.kill()
+        unnoted.wait()
+        await until(lambda: node.starts == 1 and "up" in keeper.find_log("cell/f").read_text())
+        assert find_owner(journal) == node.pid
+        await keeper.close()
+        assert find_owner(journal) == 0
+
+    with run_process(argv, stdout=subprocess.PIPE, text=True) as unnoted:
+        asyncio.run(main(unnoted))
