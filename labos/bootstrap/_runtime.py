@@ -21,7 +21,6 @@ from labos.http.desk import Desk
 from labos.http.identity import Gate
 from labos.http.server import HttpServer
 from labos.http.service import LabService
-from labos.node.journal_file import find_owner
 from labos.node.limits import read
 from labos.node.protocol import Keys, SetupReply, SetupRequest
 from labos.node.world import World
@@ -106,7 +105,7 @@ class LabRuntime:
                 make_folder(folder)
             spawner = choose_spawner(self.settings.logs / "fork-server.log", is_alive)
             self.supervised = Supervisor(
-                *folders, self.clock, is_alive, self._find_journal_owner, detach=detach, spawner=spawner
+                *folders, self.clock, is_alive, self.settings.journal, detach=detach, spawner=spawner
             )
         modules = self.kernel.state.modules.by_name
         self.supervised.start([NodeCommand(str(name), self._make_argv(name, detach)) for name in modules])
@@ -139,9 +138,6 @@ class LabRuntime:
         if self.guard is not None:
             await asyncio.to_thread(self.guard.issue_for, list(known))
         self.start_nodes(detach=self._detach)
-
-    def _find_journal_owner(self, module: str) -> int:
-        return find_owner(self.settings.journal(module))
 
     def _make_argv(self, module: ModuleName, detach: bool) -> tuple[str, ...]:
         spec = self.kernel.state.modules.by_name[module].spec

@@ -10,15 +10,15 @@ from labos.node.journal import JournalError
 from labos.node.worker import Worker
 from labos.private import FILE, make_folder, replace_file
 
-_OWNER = "process {}"
+_IN_USE = "process {}"
 """The text in the lock file of a journal that is in use."""
 
 
-def find_owner(path: Path) -> int:
+def find_process(path: Path) -> int:
     """The process that has the journal at ``path`` open; 0 if none has."""
     lock = _make_lock(path)
-    owner = lock.note().removeprefix(_OWNER.format(""))
-    return int(owner) if lock.is_taken() and owner.isdecimal() else 0
+    number = lock.note().removeprefix(_IN_USE.format(""))
+    return int(number) if lock.is_taken() and number.isdecimal() else 0
 
 
 def _make_lock(path: Path) -> FileLock:
@@ -34,7 +34,7 @@ class FileJournalFile:
         self.path = Path(path)
         make_folder(self.path.parent)
         self._lock = _make_lock(self.path)
-        if not self._lock.acquire(_OWNER.format(os.getpid())):
+        if not self._lock.acquire(_IN_USE.format(os.getpid())):
             raise JournalError(
                 f"The journal {self.path} is in use by another process.",
                 remedy="Each module needs a journal of its own; or is this node running already?",

@@ -20,6 +20,7 @@ import structlog
 
 from labos.clock import Clock
 from labos.core.ids import local
+from labos.node.journal_file import find_process
 from labos.runtime.spawning import Child, ExitCode, PlainSpawner, Spawner
 
 POLL_S = 0.1
@@ -64,7 +65,7 @@ class _Note(msgspec.Struct):
 class Supervisor:
     """Starts nodes and restarts crashed ones. A node that fails ``patience`` times in a row directly after
     its start is not started again. ``is_alive`` tells whether a process with that id exists,
-    ``find_journal_owner`` which process has the journal of a module open (0: none)."""
+    ``find_journal`` where the journal of a module is."""
 
     def __init__(
         self,
@@ -72,13 +73,13 @@ class Supervisor:
         logs: Path,
         clock: Clock,
         is_alive: Callable[[int], bool],
-        find_journal_owner: Callable[[str], int],
+        find_journal: Callable[[str], Path],
         *,
         detach: bool = False,
         patience: int = 5,
         spawner: Spawner | None = None,
     ) -> None:
-        self._is_alive, self._find_journal_owner = is_alive, find_journal_owner
+        self._is_alive, self._find_journal = is_alive, find_journal
         self._spawner = spawner or PlainSpawner()
         self._notes, self._logs, self._clock = notes, logs, clock
         self._detach, self._patience = detach, patience
@@ -239,10 +240,11 @@ class Supervisor:
         note = self._read_note(module)
         if note is not None and self._is_node(note.pid, module):
             return note
-        owner = self._find_journal_owner(module)
-        if not self._is_node(owner, module):
+        pid = find_process(self._find_journal(module))
+        if not self._is_node(pid, module):
             return None
-        found = _Note(module, owner, detached=END_WITH_PARENT not in _read_words(owner))
+        _log.warning("node_found_by_journal", module=module, pid=pid)
+        found = _Note(module, pid, detached=END_WITH_PARENT not in _read_words(pid))
         self._write_note(found)
         return found
 

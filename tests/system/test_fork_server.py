@@ -15,7 +15,6 @@ import msgspec
 import pytest
 
 from labos.clock import SystemClock
-from labos.node.journal_file import find_owner
 from labos.runtime.fork_server import PACKET, StartChild
 from labos.runtime.spawning import PYTHON, ForkServer
 from labos.runtime.supervisor import NodeCommand, Supervisor
@@ -32,11 +31,8 @@ def waiting_node(home: Path, name: str) -> NodeCommand:
 
 
 def keeper_of(folder: Path, server: ForkServer) -> Supervisor:
-    def find_journal_owner(module: str) -> int:
-        return find_owner(Settings.make(folder).journal(module))
-
     notes, logs = folder / "nodes", folder / "logs"
-    return Supervisor(notes, logs, SystemClock(), is_alive, find_journal_owner, spawner=server)
+    return Supervisor(notes, logs, SystemClock(), is_alive, Settings.make(folder).journal, spawner=server)
 
 
 async def until(holds: Callable[[], object], patience_s: float = 30.0) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from labos.clock import SystemClock
-from labos.node.journal_file import find_owner
+from labos.node.journal_file import find_process
 from labos.runtime.supervisor import NodeCommand, Supervisor
 from labos.settings import Settings, is_alive
 from tests.support.processes import run_process
@@ -24,13 +24,8 @@ def command(name: str, code: str) -> NodeCommand:
 
 def supervisor(folder: Path, *, detach: bool = False, patience: int = 3) -> Supervisor:
     notes, logs = folder / "nodes", folder / "logs"
-
-    def find_journal_owner(module: str) -> int:
-        return find_owner(Settings.make(folder).journal(module))
-
-    return Supervisor(
-        notes, logs, SystemClock(), is_alive, find_journal_owner, detach=detach, patience=patience
-    )
+    journal = Settings.make(folder).journal
+    return Supervisor(notes, logs, SystemClock(), is_alive, journal, detach=detach, patience=patience)
 
 
 async def until(holds: Callable[[], object], patience_s: float = 15.0) -> None:
@@ -132,9 +127,9 @@ def test_a_node_that_nobody_noted_is_found_by_its_journal(tmp_path: Path) -> Non
         unnoted.kill()
         unnoted.wait()
         await until(lambda: node.starts == 1 and "up" in keeper.find_log("cell/f").read_text())
-        assert find_owner(journal) == node.pid
+        assert find_process(journal) == node.pid
         await keeper.close()
-        assert find_owner(journal) == 0
+        assert find_process(journal) == 0
 
     with run_process(argv, stdout=subprocess.PIPE, text=True) as unnoted:
         asyncio.run(main(unnoted))
