@@ -10,7 +10,6 @@ import msgspec
 from labos.core.effects import AnyEffect
 from labos.core.ids import ActionId, ModuleName, RunId, StationName, workcell_of
 from labos.core.registry import Event, event
-from labos.core.structs import make_from
 
 EffectsDone = Literal["all", "none", "partial", "unknown"]
 
@@ -232,7 +231,23 @@ ENDED_KEPT = 32
 
 
 def fold_action_requested(actions: Actions, event: ActionRequested, at: int, position: int) -> None:
-    actions.open[event.action] = make_from(Action, event, id=event.action, position=position, requested_at=at)
+    actions.open[event.action] = Action(  # written out: ``make_from`` takes six times as long
+        id=event.action,
+        run=event.run,
+        step=event.step,
+        module=event.module,
+        attempt=event.attempt,
+        epoch=event.epoch,
+        journal=event.journal,
+        name=event.name,
+        args=event.args,
+        effects=event.effects,
+        exclusive=event.exclusive,
+        files=event.files,
+        position=position,
+        requested_at=at,
+        together=event.together,
+    )
     actions.in_cell.setdefault(workcell_of(event.module), {})[event.action] = True
 
 

@@ -12,7 +12,6 @@ from labos.core.effects import (
     AnyEffect,
     Carrying,
     find_labware_used,
-    list_arrivals,
     list_carried,
     name_hand,
     turn,
@@ -388,9 +387,9 @@ def fold_action_requested(bench: Bench, event: ActionRequested, at: int) -> None
     if not event.effects:
         return
     _expect(bench, event.effects, 1)
-    for what in list_carried(event.effects):
-        if what.stock:
-            bench.named = max(bench.named, _parse_number(what.labware))
+    for effect in event.effects:
+        if effect.stock and isinstance(effect, Carrying):
+            bench.named = max(bench.named, _parse_number(effect.labware))
     for name in find_labware_used(event.effects):
         bench.labware[name].moving = event.action
 
@@ -419,12 +418,12 @@ def fold_action_ended(bench: Bench, event: ActionEnd, at: int) -> None:
 def _expect(bench: Bench, effects: Iterable[AnyEffect], change: int) -> None:
     """Change the number of expected arrivals at the places where an action needs room, and of items that it
     takes off a stack."""
-    for place in list_arrivals(effects):
-        for station in _list_rooms(bench, place):
-            station.expected += change
-    for what in list_carried(effects):
-        if what.stock:
-            bench.stations[what.stock].taking += change
+    for effect in effects:
+        for place in effect.room:
+            for station in _list_rooms(bench, place):
+                station.expected += change
+        if effect.stock:
+            bench.stations[effect.stock].taking += change
 
 
 def count_taking(bench: Bench, stack: StationName) -> int:

@@ -400,7 +400,8 @@ def fold_action_requested(campaigns: Campaigns, event: ActionRequested, at: int)
 
 
 def fold_action_ended(campaigns: Campaigns, event: ActionEnd, at: int) -> None:
-    began, parts = campaigns.clocks.pop(event.action, None), campaigns.parts.pop(event.action, 1)
+    began = campaigns.clocks.pop(event.action, None)
+    parts = campaigns.parts.pop(event.action, 1) if began is not None else 1
     campaign = campaigns.find_by_run(event.run)
     if campaign is None:
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
+from operator import attrgetter
 from typing import Any, get_type_hints
 
 from labos.core import (
@@ -79,15 +80,19 @@ def _make_table() -> dict[type[Event], tuple[tuple[str, Handler], ...]]:
 
 TABLE = _make_table()
 
-_STREAM_ENDS: dict[type[Event], str] = {
-    RunCompleted: "run",
-    RunFailed: "run",
-    RunCancelled: "run",
-    ExperimentEnded: "experiment",
-    CampaignCompleted: "campaign",
-    LabwareRemoved: "labware",
+_ENDED_STREAMS: dict[type[Event], Callable[[Any], str]] = {
+    RunCompleted: attrgetter("run"),
+    RunFailed: attrgetter("run"),
+    RunCancelled: attrgetter("run"),
+    ExperimentEnded: attrgetter("experiment"),
+    CampaignCompleted: attrgetter("campaign"),
+    LabwareRemoved: attrgetter("labware"),
+    InterventionResolved: InterventionResolved.stream,
+    BookingCancelled: BookingCancelled.stream,
+    BookingEnded: lambda event: event.stream() if event.over else "",
 }
-"""Events that end a stream, with the field that names the stream: no event may follow in it."""
+"""Events that end a stream, with the function that finds the stream (empty: none): no event may follow in
+it."""
 
 
 def _learn(state: LabState, event: ActionSucceeded, at: int) -> None:
@@ -116,11 +121,9 @@ def evolve(state: LabState, event: Event, position: int, recorded_at: int) -> No
         runs.fold_run_submitted(state.runs, event, recorded_at, position)  # type: ignore[arg-type]
     stream, versions = event.stream(), state.versions
     versions[stream] = versions.get(stream, 0) + 1
-    ends = _STREAM_ENDS.get(kind)
-    if ends is not None:
-        versions.pop(getattr(event, ends), None)
-    elif kind in (InterventionResolved, BookingCancelled) or (isinstance(event, BookingEnded) and event.over):
-        del versions[stream]
+    find_ended = _ENDED_STREAMS.get(kind)
+    if find_ended is not None:
+        versions.pop(find_ended(event), None)
     state.position, state.recorded_at = position, recorded_at
 
 

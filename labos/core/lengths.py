@@ -29,32 +29,6 @@ this multiple."""
 SHARED = 4096
 
 
-class Times(msgspec.Struct, array_like=True):
-    """The last durations of a kind of action, oldest first, with the shortest, usual and longest of them. For
-    actions with the same arguments they are in ns of wall time. For actions with different arguments they are
-    in millionths of the planned duration; then ``planned`` has the planned durations (ns of wall time)."""
-
-    took: list[int] = []
-    planned: list[int] = []
-    low: int = 0
-    usual: int = 0
-    high: int = 0
-
-    @property
-    def suffices(self) -> bool:
-        return len(self.took) >= ENOUGH
-
-    def add(self, took: int, planned: int | None = None) -> None:
-        self.took.append(took)
-        if planned is not None:
-            self.planned.append(planned)
-        if len(self.took) > KEPT:
-            del self.took[0], self.planned[:-KEPT]
-        ordered = sorted(self.took)
-        self.usual = ordered[len(ordered) // 2]
-        self.low, self.high = ordered[0], min(ordered[-1], int(OUTLIER * self.usual))
-
-
 class Length(msgspec.Struct, frozen=True):
     """The shortest, usual and longest duration of a step (ns of wall time)."""
 
@@ -63,9 +37,28 @@ class Length(msgspec.Struct, frozen=True):
     high: int
 
 
+class Times(msgspec.Struct, array_like=True):
+    """The last durations of a kind of action, oldest first. For actions with the same arguments they are in
+    ns of wall time. For actions with different arguments they are in millionths of the planned duration;
+    then ``planned`` has the planned durations (ns of wall time)."""
+
+    took: list[int] = []
+    planned: list[int] = []
+
+    @property
+    def suffices(self) -> bool:
+        return len(self.took) >= ENOUGH
+
+    def measure(self) -> Length:
+        """The shortest, usual and longest of the durations, in their unit."""
+        ordered = sorted(self.took)
+        usual = ordered[len(ordered) // 2]
+        return Length(ordered[0], usual, min(ordered[-1], int(OUTLIER * usual)))
+
+
 class Lengths(msgspec.Struct):
     """Durations by kind: of a module's action with its arguments, and of the action with any arguments
-    (``make_kind``)."""
+    (``make_kinds``). Those of the action carried out last are at the end."""
 
     by_kind: dict[str, Times] = {}
 
@@ -75,20 +68,22 @@ class Lengths(msgspec.Struct):
         times, is_part = self.find_times(step)
         if times is None:
             return None
+        found = times.measure()
         if not is_part:
-            return Length(times.low, times.usual, times.high)
+            return found
         planned = step.duration_s * 1e3 / pace  # ns of each millionth
-        return Length(*(int(part * planned) for part in (times.low, times.usual, times.high)))
+        return Length(int(found.low * planned), int(found.usual * planned), int(found.high * planned))
 
     def find_times(self, step: PlanStep) -> tuple[Times | None, bool]:
         """The durations for a step, if there are enough, and whether they are relative to the planned
         duration (durations with other arguments)."""
         if not self.by_kind:
             return None, False
-        fine = self.by_kind.get(make_kind(step))
+        same_arguments, any_arguments = make_kinds(step)
+        fine = self.by_kind.get(same_arguments)
         if fine is not None and fine.suffices:
             return fine, False
-        coarse = self.by_kind.get(f"{step.module}\x1f{step.action}")
+        coarse = self.by_kind.get(any_arguments)
         return (coarse, True) if coarse is not None and coarse.suffices else (None, False)
 
 
@@ -107,19 +102,23 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
     outcome was unknown do not count."""
     if step.by_person or action.status == ActionStatus.UNKNOWN or action.attempt > 1:
         return
-    kind = make_kind(step)
+    same_arguments, any_arguments = make_kinds(step)
     took, planned = max(0, at - action.requested_at), int(step.duration_s * 1e9 / pace)
-    known = lengths.by_kind
-    times = known.pop(kind, Times())
-    times.add(took)
-    known[kind] = times
+    _move_to_end(lengths.by_kind, same_arguments).took.append(took)
     if planned > 0:
-        any_arguments = f"{step.module}\x1f{step.action}"
-        times = known.pop(any_arguments, Times())
-        times.add(took * 1_000_000 // planned, planned)
-        known[any_arguments] = times
-    while len(known) > KINDS:
-        del known[next(iter(known))]
+        times = _move_to_end(lengths.by_kind, any_arguments)
+        times.took.append(took * 1_000_000 // planned)
+        times.planned.append(planned)
+    while len(lengths.by_kind) > KINDS:
+        del lengths.by_kind[next(iter(lengths.by_kind))]
+
+
+def _move_to_end(by_kind: dict[str, Times], kind: str) -> Times:
+    """The durations of a kind, to which one more is added; without the oldest if there are enough."""
+    times = by_kind[kind] = by_kind.pop(kind) if kind in by_kind else Times()
+    if len(times.took) >= KEPT:
+        del times.took[0], times.planned[:1]
+    return times
 
 
 DRIFT_RATIO, LEAST_DRIFT_S = 1.25, 1.0
@@ -134,31 +133,32 @@ def find_drifts(lengths: Lengths, pace: float) -> list[Drift]:
         if more or not times.suffices:
             continue
         planned = sorted(times.planned)[len(times.planned) // 2]
-        takes = planned * times.usual // 1_000_000
+        takes = planned * times.measure().usual // 1_000_000
         longer, shorter = max(takes, planned), min(takes, planned)
         if longer > DRIFT_RATIO * shorter and longer - shorter > LEAST_DRIFT_S * 1e9:
             found.append(Drift(ModuleName(module), action, takes * pace / 1e9, planned * pace / 1e9))
     return found
 
 
-_kinds: dict[int, tuple[PlanStep, str]] = {}
+_kinds: dict[int, tuple[PlanStep, str, str]] = {}
 """Kinds by the ids of step objects. The step is kept too, so that its id is not reused."""
 
 
-def make_kind(step: PlanStep) -> str:
-    """The kind of a step: its module, action and arguments as in its plan, with numbers of two digits, and
-    its planned duration."""
+def make_kinds(step: PlanStep) -> tuple[str, str]:
+    """The kinds of a step: its module, action and arguments as in its plan, with numbers of two digits, and
+    its planned duration; and only its module and action."""
     known = _kinds.get(id(step))
     if known is not None:
-        return known[1]
+        return known[1], known[2]
     text = "\x1f".join(f"{name}={_round_value(value)}" for name, value in sorted(step.args.items()))
     text = f"{step.duration_s!r}\x1f{text}"
     mark = hashlib.blake2b(text.encode(errors="surrogatepass"), digest_size=6).hexdigest()
-    kind = f"{step.module}\x1f{step.action}\x1f{mark}"
-    _kinds[id(step)] = step, kind
+    any_arguments = f"{step.module}\x1f{step.action}"
+    same_arguments = f"{any_arguments}\x1f{mark}"
+    _kinds[id(step)] = step, same_arguments, any_arguments
     if len(_kinds) > SHARED:
         del _kinds[next(iter(_kinds))]
-    return kind
+    return same_arguments, any_arguments
 
 
 def _round_value(value: object) -> str:

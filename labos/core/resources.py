@@ -93,10 +93,17 @@ def list_used_up(steps: Iterable[PlanStep]) -> tuple[tuple[int, ModuleName, str,
     used: list[tuple[int, ModuleName, str, float]] = []
     fresh: set[tuple[str, str]] = set()
     for index, step in enumerate(steps):
-        for resource in {e.resource: True for e in step.effects if isinstance(e, Consumes)}:
+        amounts: dict[str, float] = {}
+        put_in: list[tuple[str, str]] = []
+        for effect in step.effects:
+            if type(effect) is Consumes:
+                amounts[effect.resource] = amounts.get(effect.resource, 0.0) + float(effect.amount)
+            elif type(effect) is Replaces:
+                put_in.append((effect.module, effect.resource))
+        for resource, amount in amounts.items():
             if (step.module, resource) not in fresh:
-                used.append((index, step.module, resource, sum_needed(step.effects, resource)))
-        fresh.update((e.module, e.resource) for e in step.effects if isinstance(e, Replaces))
+                used.append((index, step.module, resource, amount))
+        fresh.update(put_in)
     return tuple(used)
 
 

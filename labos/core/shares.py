@@ -81,12 +81,22 @@ class Week(msgspec.Struct):
     spent_ns: dict[int, int] = {}
     consumed: dict[int, dict[str, float]] = {}
 
-    def forget_before(self, day: int) -> None:
-        last = day - WEEK_DAYS
+    def add_spent(self, day: int, spent_ns: int) -> None:
+        if day not in self.spent_ns:
+            self._forget_before(day)
+        self.spent_ns[day] = self.spent_ns.get(day, 0) + spent_ns
+
+    def add_consumed(self, day: int, kind: str, amount: float) -> None:
+        if day not in self.consumed:
+            self._forget_before(day)
+        kinds = self.consumed.setdefault(day, {})
+        kinds[kind] = kinds.get(kind, 0.0) + amount
+
+    def _forget_before(self, day: int) -> None:
+        """Delete the days that are no longer in the week of ``day``."""
         for table in (self.spent_ns, self.consumed):
-            if table and min(table) <= last:
-                for old in [known for known in table if known <= last]:
-                    del table[old]
+            for old in [known for known in table if known <= day - WEEK_DAYS]:
+                del table[old]
 
     def sum_lab_ns(self, now: int) -> int:
         """Module time of the last seven days."""
@@ -214,24 +224,21 @@ def _count_groups(shares: Shares, at: int) -> None:
         had.running += own.running
         had.queued += own.queued
         for day, spent in own.week.spent_ns.items():
-            had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
+            had.week.add_spent(day, spent)
         for day, kinds in own.week.consumed.items():
             for kind, amount in kinds.items():
-                _add_consumed(had.week, day, kind, amount)
+                had.week.add_consumed(day, kind, amount)
 
 
 def _list_had(shares: Shares, user: str) -> list[Workload]:
     """The use of a user and of the user's group."""
-    own = shares.had.get(user) or shares.had.setdefault(user, Workload())
-    group = shares.group_of.get(user)
-    if group is None:
-        return [own]
-    return [own, shares.group_had.get(group) or shares.group_had.setdefault(group, Workload())]
+    own, group = _find_workload(shares.had, user), shares.group_of.get(user)
+    return [own] if group is None else [own, _find_workload(shares.group_had, group)]
 
 
-def _find_usage(table: dict[str, Usage], name: str, at: int) -> Usage:
-    """The usage record of a user or group, to which more is added."""
-    return table.get(name) or table.setdefault(name, Usage(at=at))
+def _find_workload(workloads: dict[str, Workload], name: str) -> Workload:
+    """The workload of a user or group, to which something is added."""
+    return workloads.get(name) or workloads.setdefault(name, Workload())
 
 
 def fold_run_submitted(shares: Shares, event: RunSubmitted, at: int) -> None:
@@ -270,23 +277,21 @@ def fold_action_ended(shares: Shares, event: ActionEnd, at: int) -> None:
     user = shares.users.get(event.run)
     if user is None:
         return
-    _find_usage(shares.usage, user, at).add(spent, at)
+    _add_spent(shares.usage, shares.had, user, spent, at)
     group = shares.group_of.get(user)
     if group is not None:
-        _find_usage(shares.group_usage, group, at).add(spent, at)
-    day = at // DAY_NS
-    for had in _list_had(shares, user):
-        had.week.forget_before(day)
-        had.week.spent_ns[day] = had.week.spent_ns.get(day, 0) + spent
+        _add_spent(shares.group_usage, shares.group_had, group, spent, at)
+
+
+def _add_spent(
+    usages: dict[str, Usage], workloads: dict[str, Workload], name: str, spent_ns: int, at: int
+) -> None:
+    """Add module time to the use of a user or group."""
+    (usages.get(name) or usages.setdefault(name, Usage(at=at))).add(spent_ns, at)
+    _find_workload(workloads, name).week.add_spent(at // DAY_NS, spent_ns)
 
 
 def fold_resource_consumed(shares: Shares, event: ResourceConsumed, at: int) -> None:
     user = shares.users.get(RunId(event.run))
     for had in _list_had(shares, user) if user is not None else ():
-        had.week.forget_before(at // DAY_NS)
-        _add_consumed(had.week, at // DAY_NS, event.resource, event.amount)
-
-
-def _add_consumed(week: Week, day: int, kind: str, amount: float) -> None:
-    kinds = week.consumed.setdefault(day, {})
-    kinds[kind] = kinds.get(kind, 0.0) + amount
+        had.week.add_consumed(at // DAY_NS, event.resource, event.amount)

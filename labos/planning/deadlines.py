@@ -45,16 +45,17 @@ class Deadlines:
         if not self._filled or touched.whole:
             self._fill(state)
             return
-        for kind, names in touched.named.items():
-            for name in names:
-                if kind == EVERYTHING:
-                    self._note_cell(state, name)
-                if kind in (RUN, WINDOW, OVER):
-                    self._note_windows(state, RunId(name))
-                    self._note_closing(state, RunId(name))
-                if kind in (DUE, BEGUN, OVER):
-                    self._note_action(state, ActionId(name))
-                    self._note_question(state, InterventionId(name))
+        named = touched.named
+        for cell in named.get(EVERYTHING, ()):
+            self._note_cell(state, cell)
+        for kind in (OVER, RUN, WINDOW):
+            for name in named.get(kind, ()):
+                self._note_windows(state, RunId(name))
+                self._note_closing(state, RunId(name))
+        for kind in (BEGUN, DUE, OVER):
+            for name in named.get(kind, ()):
+                self._note_action(state, ActionId(name))
+                self._note_question(state, InterventionId(name))
 
     def iterate_due(self, state: LabState, now: int) -> Iterator[Command]:
         """The commands for all deadlines that are due."""

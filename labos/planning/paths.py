@@ -231,6 +231,8 @@ def make_path(plan: Plan, rules: CellRules = NO_RULES) -> Path:
     changing = frozenset(motion.step for motion in motions if motion.changes_anything)
     if others:
         return Path(motions, changing, tuple(ways))
+    if all(before in plan.steps[index].after for before, index in pairwise(first.steps)):
+        return Path(motions, changing)  # most plans: each step names the one before it
     behind = _find_behind(plan, first.steps)
     if all(before in behind[index] for before, index in pairwise(first.steps)):
         return Path(motions, changing)

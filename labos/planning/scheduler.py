@@ -29,7 +29,6 @@ from labos.core.ids import (
     InterventionId,
     ModuleName,
     RunId,
-    find_owning_run,
     workcell_of,
 )
 from labos.core.leaving import will_leave
@@ -317,7 +316,7 @@ class Scheduler:
         for cell in named.get(EVERYTHING, ()):
             names |= self._list_all(state, cell)
         for key in touched.keys:
-            if run := find_owning_run(key):
+            if run := touched.runs.get(key):
                 names.update(dict.fromkeys(self._list_run_steps(state, run), True))
             elif waiting := self.wait_list.find_waiting(key):
                 names |= waiting

@@ -101,11 +101,13 @@ RUN, BEGUN, DUE, WINDOW = "run", "begun", "due", "window"
 
 
 class Touched(msgspec.Struct, frozen=True):
-    """The sorted ``keys`` of events, and the names in them by kind (``named``). Under ``EVERYTHING`` are the
-    workcells in which every wait is checked again. With ``whole``, every wait of the lab is checked again."""
+    """The sorted ``keys`` of events, and the names in them by kind (``named``). ``runs`` are the runs that
+    keys name as touched themselves. Under ``EVERYTHING`` are the workcells in which every wait is checked
+    again. With ``whole``, every wait of the lab is checked again."""
 
     keys: list[str] = []
     named: dict[str, list[str]] = {}
+    runs: dict[str, RunId] = {}
     whole: bool = False
 
 
@@ -113,13 +115,17 @@ def sort_keys(keys: Iterable[str]) -> Touched:
     """These keys, each once, sorted and by kind."""
     ordered = sorted(set(keys))
     named: dict[str, list[str]] = {}
+    runs: dict[str, RunId] = {}
     for key in ordered:
-        if not key.startswith(EVERYTHING):
-            kind, name = split_key(key)
-            named.setdefault(kind, []).append(name)
-        elif key != EVERYTHING:
-            named.setdefault(EVERYTHING, []).append(key.removeprefix(EVERYTHING))
-    return Touched(ordered, named, EVERYTHING in ordered)
+        if key.startswith(EVERYTHING):
+            if key != EVERYTHING:
+                named.setdefault(EVERYTHING, []).append(key.removeprefix(EVERYTHING))
+            continue
+        kind, name = split_key(key)
+        named.setdefault(kind, []).append(name)
+        if kind == RUN and name:
+            runs[key] = RunId(name)
+    return Touched(ordered, named, runs, EVERYTHING in ordered)
 
 
 def every_wait_key(cell: str) -> str:
@@ -184,7 +190,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
     keys = _find_touched_keys(state, event, every_wait_key(cell) if cell else EVERYTHING)
     if isinstance(event, ActionEvent) and keys:
         keys = (*keys, due_key(event.action))
-    if isinstance(event, _LESS_IS_TO_COME) and state.shares.digest:
+    if state.shares.digest and isinstance(event, _LESS_IS_TO_COME):
         keys = (*keys, QUOTA_KEY)
     if not cell or not keys:
         return keys
@@ -194,7 +200,7 @@ def find_touched_keys(state: LabState, event: Event) -> tuple[str, ...]:
 
 def _find_cell(state: LabState, event: Event) -> str:
     """The workcell in which an event happens; empty if it is not known."""
-    if isinstance(event, WorkcellApplied | StationsApplied):
+    if isinstance(event, (WorkcellApplied, StationsApplied)):  # a union takes twice as long
         return event.name
     for field in _list_place_fields(type(event)):
         name = getattr(event, field)

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from labos.core.decide.bookings import MakeBooking, NewTerms
 from labos.core.decide.suggestions import SuggestOrder
 from labos.core.ids import RunId
-from labos.core.lengths import Times, make_kind
+from labos.core.lengths import Times, make_kinds
 from labos.core.model import Plan, Window
 from labos.core.runs import RunState
 from labos.core.shares import Usage
@@ -151,9 +151,9 @@ def test_nothing_is_changed_by_looking() -> None:
 def test_durations_are_those_of_a_quantile_of_the_last_times(level: float, took_s: float) -> None:
     lab, (run, _) = make_lab(visit("dev"), visit("other"))
     work = lab.state.runs.plan_of(lab.run(run)).steps[2]
-    times = lab.state.lengths.by_kind[make_kind(work)] = Times()
+    times = lab.state.lengths.by_kind[make_kinds(work)[0]] = Times()
     for seconds in (80, 60, 100):
-        times.add(int(seconds * 1e9))
+        times.took.append(int(seconds * 1e9))
     problem = problem_of(lab.state, chosen(lab), lab.now, level)
     found = {(task.run, task.step): task.duration_s for task in problem.tasks}
     assert found[run, 2] == took_s

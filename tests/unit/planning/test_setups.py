@@ -8,7 +8,7 @@ import random
 import pytest
 
 from labos.cli.explain import list_sentences
-from labos.core.lengths import make_kind
+from labos.core.lengths import make_kinds
 from labos.core.model import Plan, Window
 from labos.core.setups import Setup, SetupChange
 from labos.core.state import encode_picture
@@ -153,7 +153,7 @@ def test_what_is_learned_of_an_action_is_without_its_set_up() -> None:
         action = lab.start(run)
         lab.wait(400.0 + lab.state.modules.by_name[one.module].in_flight[action].setup_s)
         lab.finish(action)
-    times = lab.state.lengths.by_kind[make_kind(does("a").steps[0])]
+    times = lab.state.lengths.by_kind[make_kinds(does("a").steps[0])[0]]
     assert times.took == [400 * SECOND] * 2, "those for which nothing was changed"
     lab.step(lab.submit(does("b")))
     run = lab.submit(does("b"))
