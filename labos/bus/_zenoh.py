@@ -100,16 +100,20 @@ class ZenohBus:
         await self._wait_until_ready()
         self.traffic.queries += 1
         replies: list[Any] = []
-        settled = asyncio.Event()
+        settled: asyncio.Future[None] = self._loop.create_future()
+
+        def settle() -> None:
+            if not settled.done():
+                settled.set_result(None)
 
         def on_reply(reply: Any) -> None:
             if not replies:  # the first answer counts; a faulty process may send thousands
                 replies.append(reply)
-                self._receive(settled.set)
+                self._receive(settle)
 
         def on_end() -> None:
             if not replies:
-                self._hand_over(settled.set)
+                self._hand_over(settle)
 
         try:
             self._session.get(
@@ -124,9 +128,11 @@ class ZenohBus:
         except zenoh.ZError as error:
             raise BusError(f"The query to {key!r} could not be sent: {reason_of(error)}.") from error
         # Zenoh has its own time-out; this one is for a session that has died.
-        with suppress(TimeoutError):
-            async with asyncio.timeout(timeout_s + 0.5):
-                await settled.wait()
+        late = self._loop.call_later(timeout_s + 0.5, settle)
+        try:
+            await settled
+        finally:
+            late.cancel()
         try:
             return _answer(key, replies, timeout_s)
         except NoAnswer:

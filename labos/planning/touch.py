@@ -262,9 +262,6 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
         case ActionRequested():
             # Safety counts an action in flight as done. So other starts may be safe from now on.
             return (cell_key(workcell_of(event.module)), *_list_window_keys(state, event.run))
-        case LevelSet() | ResourceReplenished() | SetpointReleased():
-            # A run that was blocked may continue, so it is no obstacle to other runs any more.
-            return (module_key(event.module), cell_key(workcell_of(event.module)))
         case ActionSucceeded():
             # Places were kept in case the action failed. Now they are free, so other starts may be safe.
             return (
@@ -276,6 +273,9 @@ def _find_touched_keys(state: LabState, event: Event, everything: str) -> tuple[
                 *(station_key(name) for name in state.bench.by_module.get(event.module, ())),
                 *_list_window_keys(state, event.run),
             )
+        case LevelSet() | ResourceReplenished() | SetpointReleased():
+            # A run that was blocked may continue, so it is no obstacle to other runs any more.
+            return (module_key(event.module), cell_key(workcell_of(event.module)))
         case LabwareMoved():
             return (*_list_station_keys(state, event.source), *_list_station_keys(state, event.target))
         case LabwarePlaced():
