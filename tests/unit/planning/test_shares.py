@@ -125,6 +125,21 @@ def test_lab_hours_of_seven_days() -> None:
     assert lab.pump() == [f"{second}#0"]
 
 
+def test_days_before_the_week_are_deleted() -> None:
+    lab = small()
+    apply(lab, Group("g", members={"a": Member()}))
+    lab.level("dev", "tips", 1000.0)
+    tips = plan(step("dev", consumes("tips", 6.0)), name="tips")
+    first = lab.now // DAY_NS
+    for day in (0, 1, 6, 8, 8, 20):
+        lab.now = (first + day) * DAY_NS
+        lab.step(lab.submit(tips, "a"))
+        for had in (lab.state.shares.had["a"], lab.state.shares.group_had["g"]):
+            days = [first + other for other in (0, 1, 6, 8, 20) if day - 7 < other <= day]
+            assert [*had.week.spent_ns] == [*had.week.consumed] == days
+    assert lab.state.shares.had["a"].week.count_used("tips", lab.now) == 6.0
+
+
 def test_consumables_of_seven_days() -> None:
     lab = small()
     lab.level("dev", "tips", 100.0)
