@@ -102,8 +102,10 @@ class Floor(msgspec.Struct):
         table[key] = value
 
     def add(self, counts: dict[Any, int], key: str, change: int) -> None:
-        """Add ``change`` to a count."""
-        self.put(counts, key, counts.get(key, 0) + change)
+        """Add ``change`` to a count, and note the change."""
+        before = counts.get(key)
+        self.changes.append((counts, key, ABSENT if before is None else before))
+        counts[key] = (before or 0) + change
 
     def drop(self, table: dict[Any, Any], key: str) -> None:
         """Remove a key from a table that has it, and note the change."""
@@ -111,17 +113,18 @@ class Floor(msgspec.Struct):
 
     def take_back(self, mark: int) -> None:
         """Undo all changes except the first ``mark``."""
-        while len(self.changes) > mark:
-            table, key, before = self.changes.pop()
+        changes = self.changes
+        for table, key, before in reversed(changes[mark:]):
             if before is ABSENT:
                 del table[key]
             else:
                 table[key] = before
+        del changes[mark:]
 
 
 def is_closing(motion: Motion) -> bool:
     """Whether a motion belongs to the closing workflow that follows a run."""
-    return isinstance(motion.step, ClosingStep)
+    return type(motion.step) is ClosingStep
 
 
 UNSETTLED = object()

@@ -11,7 +11,7 @@ from labos.core.algebra import check_reaching, check_rooms, check_standing
 from labos.core.binding import is_same
 from labos.core.effects import NOWHERE, is_reported
 from labos.core.ids import ModuleName, Owner, StationName
-from labos.planning.floor import OTHERS, UNSETTLED, Actor, Floor, change_claim, is_closing
+from labos.planning.floor import OTHERS, UNSETTLED, Actor, Floor, change_claim
 from labos.planning.held import (
     done_key,
     door_key,
@@ -21,7 +21,7 @@ from labos.planning.held import (
     may_be_shared,
     ready_key,
 )
-from labos.planning.paths import Motion
+from labos.planning.paths import ClosingStep, Motion
 
 
 class Mover(msgspec.Struct, frozen=True, gc=False):
@@ -44,8 +44,7 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
         there = actor.own.get(place, 0)
         if there >= number:
             return None
-        there += sum(floor.pools[o].get(place, 0) for o in actor.inputs if o in floor.pools)
-        return True if there < number else None
+        return True if there + _count_usable_at(floor, actor, place) < number else None
 
     def check_hand(self, what: Motion) -> bool | None:
         return True if what.hand and self.floor.count.get(what.hand) else None
@@ -55,10 +54,10 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
         module = floor.behind.get(place)
         if module is None:
             return None
-        if not _open_to(floor, self.actor, module):
+        if floor.held and not _open_to(floor, self.actor, module):
             return True
-        claim = floor.claims.get(place, "")
-        return bool(claim and not _may_claim(floor, self.actor, claim)) or None
+        claim = floor.claims.get(place)
+        return True if claim and not _may_claim(floor, self.actor, claim) else None
 
     def check_room(self, what: Motion, place: StationName) -> bool | None:
         floor = self.floor
@@ -67,10 +66,11 @@ class Mover(msgspec.Struct, frozen=True, gc=False):
 
 
 def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
-    """Whether a motion is possible on this floor."""
+    """Whether a motion is possible on this floor. A search spends most of its time here and in ``move``, so
+    both call few functions."""
     if motion.back:
         return _may_go_back(floor, actor, motion)
-    if is_closing(motion) and _is_left_out(floor, actor, motion):
+    if type(motion.step) is ClosingStep and _is_left_out(floor, actor, motion):
         return True
     if motion.wants and not all(_is_set(floor, key, value) for key, value in motion.wants):
         return False
@@ -88,7 +88,8 @@ def may_move(floor: Floor, actor: Actor, motion: Motion) -> bool:
     mover = Mover(floor, actor)
     if motion.uses and not may_use(floor, actor, motion.uses):
         return False
-    return check_standing(mover, motion) is None and check_reaching(mover, motion) is None
+    # Entries are checked first: they are what other actors block most often.
+    return check_reaching(mover, motion) is None and check_standing(mover, motion) is None
 
 
 def may_use(floor: Floor, actor: Actor, module: ModuleName) -> bool:
@@ -156,12 +157,23 @@ def _find_lender(floor: Floor, actor: Actor, place: StationName) -> Owner | None
 def _is_left_out(floor: Floor, actor: Actor, motion: Motion) -> bool:
     """Whether a motion of a closing workflow is left out, because the labware that it clears away or works on
     is not there."""
-    owners = [o for o in actor.inputs if actor.name in actor.inputs and o in floor.pools]
     for place in motion.stands:
-        there = actor.own.get(place, 0) + sum(floor.pools[owner].get(place, 0) for owner in owners)
-        if there < motion.stands.count(place):
+        missing = motion.stands.count(place) - actor.own.get(place, 0)
+        if missing > 0 and (
+            actor.name not in actor.inputs or missing > _count_usable_at(floor, actor, place)
+        ):
             return True
-    return not all(find_usable_place(floor, actor, places) for places in motion.needs)
+    return bool(motion.needs) and any(not find_usable_place(floor, actor, p) for p in motion.needs)
+
+
+def _count_usable_at(floor: Floor, actor: Actor, place: StationName) -> int:
+    """The number of pieces at a place that an actor may use, from the pools of its inputs."""
+    found = 0
+    for owner in actor.inputs:
+        pool = floor.pools.get(owner)
+        if pool:
+            found += pool.get(place, 0)
+    return found
 
 
 def _may_go_back(floor: Floor, actor: Actor, motion: Motion) -> bool:
@@ -183,17 +195,11 @@ def _has_room(floor: Floor, actor: Actor, motion: Motion) -> bool:
 
 def _open_to(floor: Floor, actor: Actor, module: ModuleName) -> bool:
     """Whether no other actor keeps a module by a door away from rest or by a hold."""
-    held = floor.held
-    if held:
-        for key in list_guard_keys(module):
-            if not _holds_alone(actor, held.get(key)):
-                return False
+    for key in list_guard_keys(module):
+        holders = floor.held.get(key)
+        if holders and (len(holders) > 1 or actor.name not in holders):
+            return False
     return True
-
-
-def _holds_alone(actor: Actor, holders: dict[str, Any] | None) -> bool:
-    """Whether there is no other actor among the holders of something."""
-    return not holders or (len(holders) == 1 and actor.name in holders)
 
 
 def _may_grab(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
@@ -221,14 +227,12 @@ def _may_hold(floor: Floor, actor: Actor, key: str, value: Any) -> bool:
 def _may_claim(floor: Floor, actor: Actor, claim: str) -> bool:
     """Whether all labware at the stations of a claim belongs to the actor, or is labware that it may use.
     Also True if several runs may share the claim."""
-    if may_be_shared(claim):
-        return True
     holders = floor.claimed.get(claim)
     for who, number in holders.items() if holders else ():
         if not number or who == actor.name:
             continue
         if who != OTHERS or number > _count_usable(floor, actor, claim):
-            return False
+            return may_be_shared(claim)
     return True
 
 
@@ -242,7 +246,7 @@ def move(floor: Floor, actor: Actor, motion: Motion) -> None:
     """Carry a motion out on the floor."""
     if motion.back:
         go_back(floor, actor, motion, 1)
-    elif is_closing(motion) and _is_left_out(floor, actor, motion):
+    elif type(motion.step) is ClosingStep and _is_left_out(floor, actor, motion):
         return
     elif motion.target:
         _carry(floor, actor, motion)
@@ -261,13 +265,16 @@ def _carry(floor: Floor, actor: Actor, motion: Motion) -> None:
                 if lender is None:
                     return
                 counts, who = floor.pools[lender], OTHERS
-            change_pile(floor, source, "")
+            if source in floor.piles:
+                change_pile(floor, source, "")
         floor.add(counts, source, -1)
         floor.add(floor.count, source, -1)
         change_claim(floor, source, who, -1)
-        _keep_loan(floor, actor, source)
+        if floor.lent:
+            _keep_loan(floor, actor, source)
     if motion.filled:
-        change_pile(floor, target, actor.name)
+        if target in floor.piles:
+            change_pile(floor, target, actor.name)
         floor.add(floor.count, target, 1)
         if target not in floor.endless:
             floor.add(actor.own, target, 1)

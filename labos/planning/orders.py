@@ -16,9 +16,10 @@ from labos.planning.paths import END, Motion, MotionStep, Orders
 
 def list_next_steps(actor: Actor) -> list[MotionStep]:
     """The steps with motions that an actor may do next; the step of its next motion is the first."""
+    first = actor.find_next_step()
+    if actor.orders is None or first is None:
+        return [] if first is None else [first]
     left = list(dict.fromkeys(motion.step for motion in actor.motions[actor.done :]))
-    if actor.orders is None or not left:
-        return left[:1]
     open_ = set(left)
     behind = actor.orders.behind
     return [step for step in left if isinstance(step, int) and open_.isdisjoint(behind[step])] or left[:1]
@@ -27,9 +28,10 @@ def list_next_steps(actor: Actor) -> list[MotionStep]:
 def bring_forward(actor: Actor, step: MotionStep) -> bool:
     """Put a step before all other steps that an actor has left; return whether that is possible. The step is
     one of ``list_next_steps``."""
+    first = actor.find_next_step()
+    if first is None or first == step:
+        return first is not None
     here = actor.motions[actor.done :]
-    if not here or here[0].step == step:
-        return bool(here)
     done = list(dict.fromkeys(motion.step for motion in actor.motions[: actor.done]))
     rest = [other for other in dict.fromkeys(motion.step for motion in here) if other != step]
     motions = _arrange(actor, [*done, step, *rest])

@@ -65,8 +65,8 @@ def go_on(floor: Floor, actor: Actor, trail: Trail) -> bool:
 
 def walk(floor: Floor, actor: Actor, trail: Trail) -> bool:
     """Carry out all that an actor has left. Returns whether that is possible; if not, takes all back."""
-    start = len(trail)
-    while actor.done < actor.length:
+    start, length = len(trail), actor.length
+    while actor.done < length:
         if not go_on(floor, actor, trail):
             take_all_back(floor, trail, start)
             return False
@@ -112,9 +112,9 @@ def take_all_back(floor: Floor, trail: Trail, start: int = 0) -> None:
     """Undo the motions of a trail from ``start`` on."""
     if len(trail) > start:
         floor.take_back(trail[start][2])
-    for actor, _, _ in trail[start:]:
-        actor.done -= 1
-    del trail[start:]
+        for actor, _, _ in trail[start:]:
+            actor.done -= 1
+        del trail[start:]
 
 
 def interleave(floor: Floor, actors: list[Actor], limit: int) -> list[tuple[str, MotionStep]] | None:
