@@ -167,5 +167,5 @@ def test_shelves_behind_a_door_are_not_reached_into_as_if_they_stood_apart(
 def test_without_holds_somebody_weighs_with_anothers_tare(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(holding, "find_holder_by_plan", lambda state, name, run: "")
     monkeypatch.setattr("labos.planning.moves._may_hold", lambda floor, actor, key, value: True)
-    monkeypatch.setattr("labos.planning.moves._holds_alone", lambda actor, holders: True)
+    monkeypatch.setattr("labos.planning.moves._open_to", lambda floor, actor, module: True)
     assert has_crashed("balance", "weighs with somebody else's tare")
