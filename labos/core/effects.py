@@ -430,9 +430,10 @@ def find_labware_used(effects: tuple[AnyEffect, ...]) -> list[LabwareId]:
     """The labware with an id that an action carries or works on."""
     found: list[LabwareId] = []
     plates: list[LabwareId] = []
-    for effect in effects:
-        if type(effect) in _WORKED_ON and effect.labware:  # type: ignore[union-attr]
-            found.append(effect.labware)  # type: ignore[union-attr]
-            if type(effect) in _MOVES and effect.plate:  # type: ignore[union-attr]
-                plates.append(effect.plate)  # type: ignore[union-attr]
+    used: Iterable[Any] = effects  # their types are looked up in sets, which mypy does not follow
+    for effect in used:
+        if type(effect) in _WORKED_ON and effect.labware:
+            found.append(effect.labware)
+            if type(effect) in _MOVES and effect.plate:
+                plates.append(effect.plate)
     return found + plates

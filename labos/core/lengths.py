@@ -114,7 +114,8 @@ def learn(lengths: Lengths, action: Action, step: PlanStep, at: int, pace: float
 
 
 def _move_to_end(by_kind: dict[str, Times], kind: str) -> Times:
-    """The durations of a kind, to which one more is added; without the oldest if there are enough."""
+    """Move a kind to the end, and return its durations, to which one more is added. If there are ``KEPT``
+    already, the oldest is deleted."""
     times = by_kind[kind] = by_kind.pop(kind) if kind in by_kind else Times()
     if len(times.took) >= KEPT:
         del times.took[0], times.planned[:1]
